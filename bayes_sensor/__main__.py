@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType
 
 THREADS = (
@@ -13,11 +14,14 @@ one only wait for each other, and where something else is running, ten times as 
 
 
 def run() -> None:
-    """Load the command and run it; Ctrl-C is answered in one line from here on.
+    """Load the command and run it; Ctrl-C and its like are answered in one line from here on.
 
-    The command brings its own answer to Ctrl-C, but loading it takes a few tenths of a second.
+    The command brings its own answer, but loading it takes a few tenths of a second.
     """
-    signal.signal(signal.SIGINT, _stop_at_once)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # SIGHUP is not on every system
+        if number is not None and (name == "SIGINT" or signal.getsignal(number) != signal.SIG_IGN):
+            signal.signal(number, _stop_at_once)
     for name in THREADS:
         os.environ.setdefault(name, "1")
     from bayes_sensor.cli import main
@@ -25,11 +29,12 @@ def run() -> None:
     main()
 
 
-def _stop_at_once(_signal: int, _frame: FrameType | None) -> None:
+def _stop_at_once(number: int, _frame: FrameType | None) -> None:
     if sys.stderr is not None:
         words = b"stopped: interrupted before anything was begun; run the same command again\n"
-        os.write(2, words)
-    os._exit(130)
+        with suppress(OSError):  # the terminal has gone
+            os.write(2, words)
+    os._exit(128 + number)
 
 
 if __name__ == "__main__":

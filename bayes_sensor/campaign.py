@@ -26,6 +26,7 @@ from bayes_sensor.experiment import (
     FloatArray,
     counted,
 )
+from bayes_sensor.names import appearance
 
 __all__ = [
     "FREE_SWITCHES",
@@ -112,12 +113,16 @@ class Campaign:
         self._check_order()
         if not self.experiments:
             raise CampaignError(f"{self.source or 'campaign'}: expected at least one experiment")
-        names = self.names_of_experiments
-        for name in names:
-            if names.count(name) > 1:
+        seen: dict[str, str] = {}
+        for name in self.names_of_experiments:
+            shown = appearance(name)
+            if shown in seen:
+                alike = "" if name == seen[shown] else ", or look so"
                 raise CampaignError(
-                    f"{self.source or 'campaign'}: two experiments are called '{name}'; rename one"
+                    f"{self.source or 'campaign'}: two experiments are called '{name}'{alike}; "
+                    "rename one"
                 )
+            seen[shown] = name
 
     def _check_order(self) -> None:
         """Raise CampaignError where side information says the other order than ``sensor_is``."""

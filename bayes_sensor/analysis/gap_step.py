@@ -5,6 +5,7 @@ from __future__ import annotations
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.results import Stage
 
 
@@ -37,4 +38,4 @@ def save_gap(job: Job, stage: Stage) -> None:
         return
     stage.json("gap.json", job.gap.to_json())
     for name in ("where", "which"):
-        stage.text(f"gap_{name}.csv", getattr(job.gap, name).to_csv(index=False))
+        stage.text(f"gap_{name}.csv", csv_text(getattr(job.gap, name)))

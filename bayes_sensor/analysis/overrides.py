@@ -38,7 +38,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -56,6 +55,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.io.toml_text import LARGEST, read_toml
 from bayes_sensor.likelihood import problem_settings
 from bayes_sensor.likelihood.prior_text import (
     flat_names,
@@ -67,7 +67,6 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
 from bayes_sensor.posterior.samplers import DEFAULT, SAMPLERS
 
-LARGEST = 1 << 20
 _EXAMPLES = {
     "noise": '{"variance": "constant"}',
     "priors": '{"V": "normal(60, 2) mL"}',
@@ -229,19 +228,13 @@ def _read(path: Path, label: str) -> dict[str, Any]:
             raise CampaignError(
                 f"{label}: expected a file with settings, but {what}; check --config"
             )
-        if path.stat().st_size > LARGEST:
-            raise CampaignError(f"{label}: expected at most 1 MB of settings; check --config")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError:
-        raise CampaignError(f"{label}: expected UTF-8 text in TOML; save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        text = " ".join(str(error).split())
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST + 1)
+    except OSError as error:
         raise CampaignError(
-            f"{label}: expected TOML, but {text[:1].lower() + text[1:]}; correct that line"
+            f"{label}: the file cannot be read ({error.strerror or error}); check it"
         ) from None
-    except (OSError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or "nested too deeply"
-        raise CampaignError(f"{label}: the file cannot be read ({reason}); check it") from None
+    return read_toml(content, label, "settings")
 
 
 def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any]) -> str:

@@ -130,7 +130,8 @@ def _hashes(folder: Path, what: str) -> dict[str, Any]:
 
 def _tables(toml: Path) -> list[dict[str, Any]]:
     """The experiments of a campaign file, as they are written there."""
-    from bayes_sensor.io.readers.campaign_file import read_sheet, read_toml
+    from bayes_sensor.io.readers.campaign_file import read_sheet
+    from bayes_sensor.io.toml_text import read_toml
 
     label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
     return read_sheet(read_toml(toml.read_bytes(), label), label).experiment

@@ -1,15 +1,17 @@
 """The command line: parse, call, print.
 
 ``main`` turns every foreseeable failure into one line on stderr and an exit code: 0 done, 2 bad
-input or usage, 3 finished but not converged, 130 interrupted.
+input or usage, 3 finished but not converged, 130 interrupted, 143 terminated, 129 hung up.
 """
 
 from __future__ import annotations
 
 import atexit
+import io
 import os
 import sys
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from typing import Any
 
 import typer
@@ -21,6 +23,7 @@ from bayes_sensor.cli.interruption import (
     INTERRUPTED,
     advice,
     be_interruptible,
+    code_of_interruption,
     ignore_interruptions,
     interruption_has_come,
     leave_at_once,
@@ -32,7 +35,11 @@ DONE, BAD_INPUT = 0, 2
 
 
 def _open_streams() -> None:
-    """Replace closed output streams, which are None in Python, by the null device."""
+    """Output streams that take every text.
+
+    Closed ones, which are None in Python, become the null device; a letter that a console's
+    encoding does not have, as that of a Greek tau in cp1252, is written as an escape.
+    """
     for descriptor, name in ((1, "stdout"), (2, "stderr")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_WRONLY)
@@ -40,6 +47,9 @@ def _open_streams() -> None:
                 os.dup2(null, descriptor)
                 os.close(null)
             setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8"))
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -55,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
     code = exit_code(arguments)
     atexit.register(ignore_interruptions)  # the work is done, and its results are in place
     # worker processes are left to Python's farewell: loky's tracker tells of what it must tidy up
-    if code == INTERRUPTED and "joblib.externals.loky" not in sys.modules:
+    if code > 128 and "joblib.externals.loky" not in sys.modules:
         leave_at_once(code)
     sys.exit(code)
 
@@ -83,16 +93,12 @@ def exit_code(arguments: list[str]) -> int:
     except CampaignError as error:
         return _complain(str(error))
     except (typer.Abort, KeyboardInterrupt):
-        interruption_has_come()
-        print(stopped(arguments), file=sys.stderr)
-        return INTERRUPTED
+        return _stop(arguments)
     except SystemError as error:
         # Ctrl-C inside compiled code can come out as the SystemError that it caused
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
-        interruption_has_come()
-        print(stopped(arguments), file=sys.stderr)
-        return INTERRUPTED
+        return _stop(arguments)
     except BrokenExecutor as error:  # a worker of a step that is not repeated
         return _complain(
             f"a worker process ended unexpectedly, killed or out of memory ({error}); expected it "
@@ -110,6 +116,19 @@ def exit_code(arguments: list[str]) -> int:
         )
 
 
+def _stop(arguments: list[str]) -> int:
+    """Say how to go on; the exit code."""
+    interruption_has_come()
+    _say_on_stderr(stopped(arguments))
+    return code_of_interruption()
+
+
+def _say_on_stderr(line: str) -> None:
+    with suppress(OSError, ValueError):  # closed, or nobody reads any more
+        print(line, file=sys.stderr, flush=True)
+
+
 def _complain(message: str) -> int:
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    shown = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(message.split()))
+    _say_on_stderr(f"error: {shown}")
     return BAD_INPUT

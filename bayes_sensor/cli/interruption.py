@@ -1,4 +1,8 @@
-"""Ctrl-C: stop at once, say how to go on, and leave results as they were."""
+"""Ctrl-C and its like: stop at once, say how to go on, and leave results as they were.
+
+The like are SIGTERM, by which a batch system or a service stops a program, and SIGHUP, by which a
+terminal that is closed does; a program that was told to ignore it, as by ``nohup``, goes on.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,11 @@ from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
-"""the exit code"""
+"""the exit code after Ctrl-C; after another signal it is 128 and the signal's number"""
+WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+"""the signals that stop a run, and what is said of it"""
+_first: list[int] = []
+"""the signal that came first"""
 RESUMABLE = ("analyze", "posterior", "bounds", "blind-check", "coverage", "fleet")
 REPEAT_SECONDS = 1.0
 """after Ctrl-C, how often the interruption is repeated until it takes effect"""
@@ -23,7 +31,7 @@ PATIENCE_SECONDS = 0.3
 
 
 def be_interruptible(arguments: list[str]) -> None:
-    """Let Ctrl-C raise KeyboardInterrupt, now and again later.
+    """Let Ctrl-C and its like raise KeyboardInterrupt, now and again later.
 
     Python drops an exception that a signal raises inside a destructor or a callback of compiled
     code; a long run would then continue.  A compiler turns the exception into errors of its own.
@@ -32,7 +40,9 @@ def be_interruptible(arguments: list[str]) -> None:
     """
     pressed: list[float] = []
 
-    def insist(_signal: int, frame: FrameType | None) -> None:
+    def insist(number: int, frame: FrameType | None) -> None:
+        if not _first:  # the others are repetitions
+            _first.append(number)
         if not hasattr(signal, "setitimer"):
             raise KeyboardInterrupt
         if not _is_compiling(frame):
@@ -43,10 +53,11 @@ def be_interruptible(arguments: list[str]) -> None:
             from bayes_sensor.cli.logged_notes import aloud  # the compiler's caller may be muted
 
             aloud(stopped(arguments))
-            os._exit(INTERRUPTED)
+            os._exit(code_of_interruption())
         signal.setitimer(signal.ITIMER_REAL, SOON_SECONDS)
 
-    signal.signal(signal.SIGINT, insist)
+    for stopping in _stopping():
+        signal.signal(stopping, insist)
     if hasattr(signal, "SIGALRM"):
         signal.signal(signal.SIGALRM, insist)
     told = sys.unraisablehook
@@ -56,6 +67,17 @@ def be_interruptible(arguments: list[str]) -> None:
             told(lost)
 
     sys.unraisablehook = tell
+
+
+def _stopping() -> list[signal.Signals]:
+    """The signals that stop a run here; Ctrl-C always does."""
+    known = [signal.Signals[name] for name in WORDS if name in signal.Signals.__members__]
+    return [s for s in known if s == signal.SIGINT or signal.getsignal(s) != signal.SIG_IGN]
+
+
+def code_of_interruption() -> int:
+    """The exit code after the signal that came."""
+    return 128 + _first[0] if _first else INTERRUPTED
 
 
 def _is_compiling(frame: FrameType | None) -> bool:
@@ -73,9 +95,10 @@ def interruption_has_come() -> None:
 
 
 def ignore_interruptions() -> None:
-    """Ignore Ctrl-C from here on, because nothing is left to stop."""
+    """Ignore Ctrl-C and its like from here on, because nothing is left to stop."""
     interruption_has_come()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for stopping in _stopping():
+        signal.signal(stopping, signal.SIG_IGN)
 
 
 def leave_at_once(code: int) -> None:
@@ -100,4 +123,5 @@ def advice(arguments: list[str]) -> str:
 
 def stopped(arguments: list[str]) -> str:
     """The line on stderr after an interruption."""
-    return " ".join(f"stopped: interrupted; {advice(arguments)}".split())
+    word = WORDS[signal.Signals(_first[0]).name if _first else "SIGINT"]
+    return " ".join(f"stopped: {word}; {advice(arguments)}".split())

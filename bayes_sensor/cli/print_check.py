@@ -13,6 +13,8 @@ from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
 
 FIGURE = "check.png"
+WIDEST = 40
+"""characters of a cell: a longer name is cut off"""
 
 
 def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool = False) -> None:
@@ -65,4 +67,5 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
 def _cell(value: Any, pattern: str) -> str:
     if isinstance(value, float) and np.isnan(value):
         return "-"
-    return pattern.format(value)
+    shown = pattern.format(value)
+    return shown if len(shown) <= WIDEST else f"{shown[: WIDEST - 3]}..."

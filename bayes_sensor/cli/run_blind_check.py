@@ -24,6 +24,7 @@ from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.figures.plot_blind_check import score_card
+from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
@@ -125,8 +126,8 @@ def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
     card, rows = score(open_seals(folder))
     card["sealed_late"] = sealed_late(folder)
     stage.json("score.json", card)
-    stage.text("cases.csv", table(rows).to_csv(index=False, lineterminator="\n"))
-    stage.text("score.csv", card_table(card).to_csv(index=False, lineterminator="\n"))
+    stage.text("cases.csv", csv_text(table(rows)))
+    stage.text("score.csv", csv_text(card_table(card)))
     put_figure(stage, "score_card", score_card(card))
     return card
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_sensor.fleet.outcome import COLUMNS, DONE, FAILED, NOT_CONVERGED
+from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.json_files import json_text
 from bayes_sensor.io.results import Stage
 
@@ -104,7 +105,7 @@ def write_comparison(stage: Stage, rows: Sequence[Row], version: str) -> dict[st
 
     found = comparison(rows)
     frame = table(rows)
-    stage.text("fleet.csv", frame.to_csv(index=False, lineterminator="\n"))
+    stage.text("fleet.csv", csv_text(frame))
     stage.text("fleet.json", json_text({"comparison": found, "campaigns": list(rows)}))
     drawing = None
     if any(row["status"] != FAILED for row in rows):

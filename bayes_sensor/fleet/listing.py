@@ -17,13 +17,13 @@ from __future__ import annotations
 import glob
 import os
 import re
-import tomllib
+import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.io.toml_text import read_toml
 
 CAMPAIGN = "campaign.toml"
 MOST = 1_000_000
@@ -116,10 +116,7 @@ def _from_lines(text: str, path: Path) -> list[tuple[str | None, Path, str]]:
 
 
 def _from_toml(text: str, path: Path) -> list[tuple[str | None, Path, str]]:
-    try:
-        tables: dict[str, Any] = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise CampaignError(f"{path}: expected TOML, but {error}; correct that line") from None
+    tables = read_toml(text.encode(), str(path), "a list", LARGEST)
     if "experiment" in tables:
         raise CampaignError(
             f"{path}: this is one campaign, but fleet takes a list of them; expected "
@@ -239,5 +236,7 @@ def _safe(name: str) -> str:
     >>> _safe("sensor 12/µ:b"), _safe("..")
     ('sensor 12-µ-b', 'campaign')
     """
-    kept = "".join(c if c.isalnum() or c in " ._-+=()," else "-" for c in name.strip())
+    # composed: some file systems take both spellings of an accent for one name
+    composed = unicodedata.normalize("NFC", name.strip())
+    kept = "".join(c if c.isalnum() or c in " ._-+=()," else "-" for c in composed)
     return kept.strip(" .")[:LONGEST_NAME].rstrip(" .") or "campaign"

@@ -101,11 +101,10 @@ def _largest(values: Any) -> float | None:
 
 def fingerprint(campaign_file: Path) -> dict[str, str]:
     """SHA-256 of a campaign's file and of its data files, by path relative to its folder."""
-    import tomllib
-
     from bayes_sensor.io.json_files import sha256
+    from bayes_sensor.io.toml_text import read_toml
 
-    tables: Mapping[str, Any] = tomllib.loads(campaign_file.read_text(encoding="utf-8-sig"))
+    tables = read_toml(campaign_file.read_bytes(), campaign_file.name)
     names = [campaign_file.name, *(entry["file"] for entry in tables["experiment"])]
     return {name: sha256(campaign_file.parent / name) for name in names}
 

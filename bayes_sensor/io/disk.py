@@ -49,9 +49,12 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file in UTF-8 with line feeds, complete or not at all."""
+    """Write a text file in UTF-8 with line feeds, complete or not at all.
+
+    What is no letter, such as a byte of a file's name that its system cannot decode, is escaped.
+    """
     with replacing(path) as new:
-        new.write_text(text, encoding="utf-8", newline="\n")
+        new.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def own_folder(path: Path) -> Path:

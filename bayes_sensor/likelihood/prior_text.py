@@ -5,11 +5,18 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping
-from math import isfinite, nan
 from typing import Any
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind, read_quantity, read_spread
+from bayes_sensor.io.readers.quantities import (
+    TIME,
+    VOLUME,
+    Kind,
+    in_range,
+    read_number,
+    read_quantity,
+    read_spread,
+)
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.rig.layout import Layout, unit_of
 
@@ -63,8 +70,11 @@ def read_value(text: str | float, name: str, unit: str, where: str) -> float:
     0.86
     """
     if not isinstance(text, str):
-        if isinstance(text, bool) or not isfinite(text):
-            raise CampaignError(f"{where}: expected a finite number, but got {text}; correct it")
+        if isinstance(text, bool) or not in_range(text):
+            raise CampaignError(
+                f"{where}: expected a finite number of a size that occurs, but got "
+                f"{str(text)[:40]}; correct it"
+            )
         return float(text)
     return _value(text, _kind_of(name, unit), where)
 
@@ -72,12 +82,11 @@ def read_value(text: str | float, name: str, unit: str, where: str) -> float:
 def _value(text: str, kind: Kind | None, where: str) -> float:
     if kind is not None:
         return read_quantity(text, kind, where)
-    try:
-        value = float(text)
-    except ValueError:
-        value = nan
-    if not isfinite(value):
-        raise CampaignError(f"{where}: expected a number, but got '{text}'; write 0.5")
+    value = read_number(text)
+    if value is None:
+        raise CampaignError(
+            f"{where}: expected a number of a size that occurs, but got '{text[:60]}'; write 0.5"
+        )
     return value
 
 

@@ -17,6 +17,8 @@ def escaped(text: str) -> str:
     text = " ".join(text.split())
     text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     text = re.sub(r"([\\`*_{}\[\]#|~$!])", r"\\\1", text)
+    # some readers make links of bare addresses, and pictures of words between colons
+    text = re.sub(r":(?=//|\w+:)|@|(?<=\bwww)\.", r"\\\g<0>", text)
     return re.sub(r"^([-+]|\d+[.)])(?=\s)", r"\\\1", text)
 
 

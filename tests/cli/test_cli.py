@@ -536,10 +536,52 @@ def test_diffusion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (out / "diffusion.svg").read_text().startswith("<svg")
 
 
-def run_code(code: str) -> subprocess.CompletedProcess[str]:
+def run_code(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=25
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=25,
+        env=ENVIRONMENT | variables,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [("ascii", "\\u03c4 \\xb1 \\u6c17"), ("cp1252:strict", "\\u03c4 \xb1 \\u6c17")],
+)
+def test_a_console_that_lacks_a_letter_shows_its_number(encoding: str, shown: str) -> None:
+    code = (
+        "from bayes_sensor import cli\n"
+        "from bayes_sensor.campaign import CampaignError\n"
+        "def app(**_):\n    print(chr(0x3c4), chr(0xb1), chr(0x6c17))\n"
+        "    raise CampaignError(chr(0x3c4) + chr(27) + '[2J')\n"
+        "cli.app = app\n"
+        "cli.main(['check', 'campaign.toml'])\n"
     )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, timeout=25,
+        env=ENVIRONMENT | {"PYTHONIOENCODING": encoding},
+    )  # fmt: skip
+    assert done.returncode == 2 and done.stdout.decode("cp1252") == shown + "\n"
+    assert done.stderr == b"error: \\u03c4\\ufffd[2J\n"  # no code reaches the terminal
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "word"), [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]
+)
+def test_other_signals_stop_a_run_as_ctrl_c_does(name: str, code: int, word: str) -> None:
+    begin = (
+        "import os, signal, sys, time\n"
+        "from bayes_sensor import cli\n"
+        f"def app(**_):\n    os.kill(os.getpid(), signal.{name})\n    time.sleep(%s)\n"
+        "cli.app = app\n"
+    )
+    end = "cli.main(['posterior', 'campaign.toml', '--out', 'results'])\n"
+    done = run_code(begin % 10 + end)
+    assert done.returncode == code and done.stdout == ""
+    expected = "bayes-sensor posterior campaign.toml --out results --resume"
+    assert done.stderr == f"stopped: {word}; continue with: {expected}\n"
+    # nohup
+    done = run_code(begin % 0.1 + f"signal.signal(signal.{name}, signal.SIG_IGN)\n" + end)
+    assert done.returncode == 0 and done.stderr == ""
 
 
 @pytest.mark.parametrize("module", ["typer", "numpy"])

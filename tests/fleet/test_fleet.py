@@ -70,6 +70,12 @@ def test_names_are_unlike_each_other_and_safe(tmp_path: Path) -> None:
     toml = tmp_path / "list.toml"
     toml.write_text('[[campaign]]\nname = "../../etc"\nfile = "a.toml"\n')
     assert [e.name for e in read_list(toml)] == ["-..-etc"]
+    toml.write_text(
+        '[[campaign]]\nname = "caf\u00e9"\nfile = "a.toml"\n'
+        '[[campaign]]\nname = "cafe\u0301"\nfile = "b.toml"\n'
+    )
+    with pytest.raises(CampaignError, match="number 2: the name .* is taken by"):
+        read_list(toml)
 
 
 @pytest.mark.parametrize(

@@ -1025,6 +1025,7 @@ def test_the_report_as_markdown(analysed: Path, tmp_path: Path, pages: str) -> N
 
 
 def test_text_in_markdown_is_no_markup() -> None:
+    assert escaped("https://a.b www.c.d e@f.g :h:") == r"https\://a.b www\.c.d e\@f.g \:h:"
     assert escaped("*a* [b](c) `d`") == r"\*a\* \[b\](c) \`d\`"
     assert escaped("- x\n1. y") == r"\- x 1. y"
     assert escaped("<img src=x>") == "&lt;img src=x&gt;"

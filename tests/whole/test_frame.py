@@ -20,6 +20,7 @@ PACKAGE = ROOT / "bayes_sensor"
 ROOMS = (
     "compiled",
     "display",
+    "names",
     "experiment",
     "campaign",
     "workers",

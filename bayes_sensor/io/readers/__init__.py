@@ -20,12 +20,10 @@ from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.io.readers.arrow import read_feather, read_parquet
 from bayes_sensor.io.readers.assembly import Assembled, assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
-    LARGEST,
     Entry,
     read_entry,
     read_rig,
     read_sheet,
-    read_toml,
 )
 from bayes_sensor.io.readers.flow_settings import settle_all_flows
 from bayes_sensor.io.readers.joined import by_sensor, join, one_line, one_unit, side_information_of
@@ -37,6 +35,8 @@ from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
 from bayes_sensor.io.readers.table import read_table
 from bayes_sensor.io.readers.tdms import read_tdms
+from bayes_sensor.io.toml_text import LARGEST, read_toml
+from bayes_sensor.names import appearance
 
 Reader = Callable[[DataFile, Selection], Recording]
 
@@ -181,12 +181,14 @@ def _check_entries(entries: list[Entry], label: str) -> None:
     """Check that names are unique, and that all experiments are measured or all planned."""
     seen: dict[str, int] = {}
     for number, entry in enumerate(entries, 1):
-        if entry.name in seen:
+        before = seen.setdefault(appearance(entry.name), number)
+        if before != number:
+            same = entry.name == entries[before - 1].name
             raise CampaignError(
-                f"experiment '{entry.name}' ({label}): experiments number {seen[entry.name]} and "
-                f"{number} share this name; expected each name once: rename one"
+                f"experiment '{entry.name}' ({label}): experiments number {before} and {number} "
+                f"{'share this name' if same else 'have names that look the same'}; expected each "
+                "name once: rename one"
             )
-        seen[entry.name] = number
         if entry.file is not None:
             if entry.duration is not None:
                 raise CampaignError(

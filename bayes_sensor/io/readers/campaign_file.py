@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 from collections.abc import Sequence
 from datetime import datetime
 from datetime import time as clock_time
@@ -13,26 +12,21 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from bayes_sensor.campaign import ORDERS, STAGES, ZIF8, CampaignError, SideInformation
-from bayes_sensor.io.readers.flow_settings import MIXTURE
+from bayes_sensor.io.readers.flow_settings import MIXTURE, read_flow
 from bayes_sensor.io.readers.quantities import (
-    FLOW,
-    NUMBER,
     TIME,
     VOLUME,
     Kind,
+    in_range,
+    read_number,
     read_quantity,
     read_spread,
     unit_text,
 )
 from bayes_sensor.io.readers.sampling import LATEST
 from bayes_sensor.io.readers.stamps import Moment, read_moment
+from bayes_sensor.names import acts_on_its_surroundings, appearance
 from bayes_sensor.rig.rig import Rig as StagesOfRig
-
-LARGEST = 1 << 20
-"""bytes of a campaign file"""
-LONGEST_LINE = 4000
-"""characters; longer lines and deeply dotted keys would slow the parser down"""
-_LEAST_FLOW, _MOST_FLOW = 1e-12, 1e6  # mL/s
 
 Span = tuple[float | Moment, float | Moment]
 
@@ -74,14 +68,7 @@ def _key(info: ValidationInfo) -> str:
 
 
 def _flow(value: object, info: ValidationInfo) -> float:
-    key = _key(info)
-    flow = read_quantity(value, FLOW, key)
-    if not _LEAST_FLOW <= flow <= _MOST_FLOW:
-        raise CampaignError(
-            f"{key}: expected a positive flow (up to {_MOST_FLOW * 0.06:g} L/min), but got "
-            f"'{value}'; give the flow that was set, such as \"{FLOW.example}\""
-        )
-    return flow
+    return read_flow(value, _key(info))
 
 
 def _time(value: object, info: ValidationInfo) -> float:
@@ -151,11 +138,11 @@ def _level(value: object, key: str, fix: str) -> tuple[float, bool]:
     """The share of a step's ``to``, and whether it was written with a unit."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         share, percent = float(value), False
-    elif isinstance(value, str) and re.fullmatch(NUMBER, value.strip()):
-        share, percent = float(value), False
+    elif isinstance(value, str) and (number := read_number(value)) is not None:
+        share, percent = number, False
     else:
         share, percent = read_quantity(value, SHARE, f"{key}: to"), True
-    if not 0.0 <= share <= 1.0:
+    if not (0.0 <= share <= 1.0 and in_range(share)):
         raise CampaignError(
             f"{key}: expected a concentration between 0 and 100 %, or a share from 0 to 1, but got "
             f"{_shorten(value)}; {fix}"
@@ -180,11 +167,16 @@ def _signals(value: object, info: ValidationInfo) -> dict[str, str]:
             f"write for example {_EXAMPLES[key]}"
         )
     for name in value:
-        if not name.strip() or any(c in name for c in "[],"):
+        if not appearance(name) or acts_on_its_surroundings(name) or any(c in name for c in "[],"):
             raise CampaignError(
                 f"{key}: expected a name without brackets and commas for each sensor, but got "
                 f"'{name[:40]}'; rename it"
             )
+    if len({appearance(name) for name in value}) < len(value):
+        raise CampaignError(
+            f"{key}: expected a name of its own for each sensor, but two look the same in "
+            f"{_shorten(list(value))}; rename one"
+        )
     return {name: _plain_text(column, info) for name, column in value.items()}
 
 
@@ -237,15 +229,18 @@ def _plain_text(value: object, info: ValidationInfo) -> str:
         raise CampaignError(
             f"{key}: expected text in quotes, but got {_shorten(value)}; write {fix}"
         )
-    if not value.strip() or len(value) > 1000:
+    if not appearance(value) or len(value) > 1000:
         raise CampaignError(
             f"{key}: expected 1 to 1000 characters, but got {len(value)}"
-            f"{' (only blanks)' if value and not value.strip() else ''}; "
+            f"{' (none that can be seen)' if value and not appearance(value) else ''}; "
             f"write for example {_EXAMPLES[key]}"
         )
-    if any(ord(c) < 32 or 0x7F <= ord(c) < 0xA0 for c in value):
+    if acts_on_its_surroundings(value):
+        fix = "remove them"
+        if key == "file" and re.search(r"[\a\b\t\n\f\r\x1b]", value):
+            fix = "in double quotes \\t, \\n and their like are such: write / between folders"
         raise CampaignError(
-            f"{key}: expected plain text, but {value!r:.80} holds control characters; remove them"
+            f"{key}: expected plain text, but {value!r:.80} holds control characters; {fix}"
         )
     return value
 
@@ -338,59 +333,6 @@ class Sheet(BaseModel):
     side_information: dict[str, Any] = Field(default_factory=dict)
     conditions: dict[str, Any] = Field(default_factory=dict)
     experiment: list[dict[str, Any]] = Field(min_length=1)
-
-
-def read_toml(content: bytes, label: str) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises
-    ------
-    CampaignError
-        If it is not UTF-8, too large or not TOML; the message has the line.
-    """
-    if len(content) > LARGEST:
-        raise CampaignError(
-            f"{label}: expected a campaign file of at most {LARGEST >> 20} MB, but it has "
-            f"{len(content)} bytes; point to the TOML file, not to data"
-        )
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise CampaignError(f"{label}: expected UTF-8 text, but it is UTF-16; save it as UTF-8")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise CampaignError(
-            f"{label}: line {line} is not UTF-8 text (byte {content[error.start]:#04x}); "
-            "expected a campaign file in TOML: save it as UTF-8"
-        ) from None
-    for number, line_text in enumerate(text.splitlines(), 1):
-        dotted = re.sub(r"[\w\"'-]+", "k", line_text).replace(" ", "").replace("\t", "")
-        if len(line_text) > LONGEST_LINE or "k." * 16 in dotted:
-            raise CampaignError(
-                f"{label}: line {number} is too long or too deeply dotted ({len(line_text)} "
-                f"characters); expected the keys of a campaign, one per line: break it up"
-            )
-        if re.search(r"(?<![\w\"'])0x[0-9a-fA-F_]{300,}", line_text):
-            raise CampaignError(
-                f"{label}: line {number} holds a number of more than 300 digits, which is out of "
-                "range; expected a quantity as text with a unit: write the value that was set"
-            )
-    try:
-        return tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, and numbers with thousands of digits
-        raise CampaignError(
-            f"{label}: expected TOML, but {_toml_problem(str(error))}; correct that line"
-        ) from None
-    except RecursionError:
-        raise CampaignError(
-            f"{label}: expected a campaign file, but its brackets are nested too deeply; "
-            "remove the nesting"
-        ) from None
-
-
-def _toml_problem(message: str) -> str:
-    message = " ".join(message.split())[:200]
-    return message[:1].lower() + message[1:]
 
 
 def read_sheet(tables: dict[str, Any], label: str) -> Sheet:

@@ -19,6 +19,7 @@ from bayes_sensor.io.readers.quantities import (
     STANDARD_FLOW,
     Kind,
     conversion_factor,
+    read_number,
     read_quantity,
 )
 
@@ -32,6 +33,7 @@ _SHARE = Kind("a concentration", "dimensionless", "11.1 %")
 STANDARD_TEMPERATURE, STANDARD_PRESSURE = 273.15, 101325.0
 """K, Pa: what sccm, slm and nL/min stand for where the campaign does not say otherwise"""
 _COLDEST, _HOTTEST = 100.0, 2000.0  # K
+_LEAST_FLOW, _MOST_FLOW = 1e-12, 1e6  # mL/s
 _TEMPERATURE = re.compile(
     rf"({NUMBER})\s*(?:(K|kelvin)|(degC|°C|C|celsius|deg_C)|(degF|°F|F|fahrenheit|deg_F))"
 )
@@ -201,17 +203,22 @@ def _unmixed(
     return float(f"{total - test_gas:.15g}"), float(f"{test_gas:.15g}")
 
 
-def _flow(value: object, key: str, where: str) -> float:
-    try:
-        flow = read_quantity(value, FLOW, key)
-    except CampaignError as error:
-        raise CampaignError(f"{where}: {error}") from None
-    if not flow > 0:
+def read_flow(value: object, key: str) -> float:
+    """A flow (mL/s) that gas can have; CampaignError for any other."""
+    flow = read_quantity(value, FLOW, key)
+    if not _LEAST_FLOW <= flow <= _MOST_FLOW:
         raise CampaignError(
-            f"{where}: {key}: expected a positive flow, but got '{value}'; give the flow that was "
-            "set"
+            f"{key}: expected a positive flow (up to {_MOST_FLOW * 0.06:g} L/min), but got "
+            f"'{value}'; give the flow that was set, such as \"{FLOW.example}\""
         )
     return flow
+
+
+def _flow(value: object, key: str, where: str) -> float:
+    try:
+        return read_flow(value, key)
+    except CampaignError as error:
+        raise CampaignError(f"{where}: {error}") from None
 
 
 def _share(value: object, where: str) -> float:
@@ -297,4 +304,9 @@ def _volume_flow(text: str, key: str, conditions: Conditions, where: str) -> flo
     small = re.match(r"scc|sml|nml|mln", unit) is not None
     factor = conversion_factor(f"{'mL' if small else 'L'}/{per}", "mL/s")
     assert factor is not None
-    return float(f"{float(match[1]) * factor * expansion:.15g}")
+    number = read_number(match[1])
+    if number is None:
+        raise CampaignError(
+            f"{where}: {key} = '{text[:60]}' is out of range; write the flow that was set"
+        )
+    return float(f"{number * factor * expansion:.15g}")

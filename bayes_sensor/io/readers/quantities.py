@@ -18,7 +18,7 @@ from bayes_sensor.campaign import CampaignError
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?"
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({NUMBER})\s*(.*)")
 _SPREAD = re.compile(rf"\(?\s*({NUMBER})\s*(?:\+-|\+/-|±)\s*({NUMBER})\s*\)?\s*(.*)")
 _SYMBOL = r"[A-Za-zµμΩ\u2126%°][A-Za-z_0-9µμΩ\u2126%°]*(?:\*\*-?[1-9])?"
@@ -27,6 +27,8 @@ STANDARD_FLOW = re.compile(r"(?i)sccm|sccs|slm|slpm|sl/min|sml/min|nl/min|nml/mi
 """units of a flow that is given as the volume at standard conditions"""
 _LONGEST = 80
 """characters, of a quantity's text"""
+_LEAST, _MOST = 1e-150, 1e150
+"""size of a number that is not 0: its square, which every density takes, is a float, too"""
 
 
 @dataclass(frozen=True)
@@ -164,17 +166,48 @@ def read_spread(value: object, kind: Kind, key: str) -> tuple[float, float]:
     return mean, sd
 
 
+def in_range(value: float) -> bool:
+    """Whether a number is 0 or of a size that can be computed with.
+
+    >>> in_range(0.0), in_range(-2.5), in_range(1e-310), in_range(float("nan")), in_range(10**400)
+    (True, True, False, False, False)
+    """
+    return value == 0 or _LEAST <= abs(value) <= _MOST
+
+
+def read_number(text: str) -> float | None:
+    """The number of a text without a unit; None where it is none, or out of range.
+
+    >>> read_number("0.5"), read_number("1e-400"), read_number("nan")
+    (0.5, None, None)
+    """
+    text = text.strip()
+    if re.fullmatch(NUMBER, text) is None:
+        return None
+    value = float(text)
+    return value if in_range(value) and (value != 0.0 or _is_zero(text)) else None
+
+
+def _is_zero(number: str) -> bool:
+    """Whether a number is written as 0, and not so small that no float holds it."""
+    return not re.search("[1-9]", re.split("[eE]", number)[0])
+
+
 def _text_of(value: object, kind: Kind, key: str) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise CampaignError(
             f"{key}: expected {kind.name} as text with a unit, but got {_shorten(str(value))}; "
             f'write {key} = "{kind.example}"'
         )
-    if isinstance(value, int) and abs(value) > 10**300:
+    if not isinstance(value, str) and not in_range(value):
+        got = (
+            f"a number of about {int(value.bit_length() * 0.30103) + 1} digits"
+            if isinstance(value, int)
+            else f"the number {value:.12g}"
+        )
         raise CampaignError(
-            f'{key}: expected {kind.name} such as "{kind.example}", but got a number of about '
-            f"{int(value.bit_length() * 0.30103) + 1} digits, which is out of range; write the "
-            "value that was set, with its unit"
+            f'{key}: expected {kind.name} such as "{kind.example}", but got {got}, which is out of '
+            "range; write the value that was set, with its unit"
         )
     if not isinstance(value, str):
         unit = kind.example.split(" ", 1)[1].split()[-1]
@@ -214,10 +247,10 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
             f"is not one; {fix}"
         )
     value = float(number) * factor
-    if not isfinite(value):
+    if not in_range(value) or (value == 0.0 and not _is_zero(number)):
         raise CampaignError(
             f"{key}: expected {kind.name} such as \"{kind.example}\", but '{_shorten(text)}' is "
-            "not a finite number; write the value that was set"
+            "out of range; write the value that was set"
         )
     # a decimal number such as "12 ms" must become the float 0.012, not 0.012000000000000002
     short = float(f"{value:.12g}")

@@ -19,6 +19,10 @@ class Passage(NamedTuple):
     delay: Value = 0.0
 
 
+LONGEST_NAME = 40
+"""characters of a stage's name, which stands in the names of columns and axes"""
+
+
 @dataclass(frozen=True)
 class StageKind:
     """A kind of stage: one parameter, and how the gas passes at a value of it and a total flow.
@@ -60,10 +64,11 @@ class Stage:
 
     def __post_init__(self) -> None:
         name, words = self.name, self.kind.words
-        if not (name.isascii() and name.replace("_", "").isalnum() and name[0].isalpha()):
+        plain = name.isascii() and name.replace("_", "").isalnum() and name[0].isalpha()
+        if not plain or len(name) > LONGEST_NAME:
             raise CampaignError(
-                f"stage '{name[:40]}': expected a name of letters, digits and '_' that begins with "
-                "a letter; rename it"
+                f"stage '{name[:LONGEST_NAME]}': expected a name of letters, digits and '_' that "
+                f"begins with a letter, of at most {LONGEST_NAME} characters; rename it"
             )
         taken = [word for word, label in words.items() if label == name != word]
         if taken:
