@@ -87,9 +87,11 @@ class Plots:
         """Joint posterior of the parameters that all experiments share."""
         from bayes_sensor import figures
 
-        if self._analysis.posterior is None:
+        posterior = self._analysis.posterior
+        if posterior is None:
             return self._missing("posterior", None)
-        return figures.corner(self._analysis.posterior)
+        unit = posterior.problem.campaign.signal_unit
+        return figures.corner(*figures.named_chains(posterior), unit=unit)
 
     def intervals(self, parameter: str | None = None, ax: Any = None) -> Any:
         """Every bound method side by side.

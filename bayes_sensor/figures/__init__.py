@@ -3,6 +3,12 @@
 One file per subject; everything that a caller needs is here under its own name.
 """
 
+from bayes_sensor.figures.labels import (
+    labels_of_bounds,
+    parameter_words,
+    shared_labels,
+    told_apart,
+)
 from bayes_sensor.figures.plot_chain import Stage, chain
 from bayes_sensor.figures.plot_check import understood
 from bayes_sensor.figures.plot_coating import (
@@ -11,7 +17,7 @@ from bayes_sensor.figures.plot_coating import (
     spectra_figure,
 )
 from bayes_sensor.figures.plot_delays import delay_panel, delays
-from bayes_sensor.figures.plot_draws import corner, main_parameters, traces_and_ranks
+from bayes_sensor.figures.plot_draws import corner, named_chains, traces_and_ranks
 from bayes_sensor.figures.plot_fleet import forest
 from bayes_sensor.figures.plot_gap import (
     effect_words,
@@ -36,51 +42,12 @@ from bayes_sensor.figures.plot_noise import (
     spread,
 )
 from bayes_sensor.figures.plot_overlays import overlay, overlay_panel
+from bayes_sensor.figures.plot_responses import responses
 from bayes_sensor.figures.plot_restored import restored
-from bayes_sensor.figures.plot_rig import responses, schematic
 from bayes_sensor.figures.plot_tau import coverage, tau_hard, what_would_help
-from bayes_sensor.figures.style import (
-    BLUE,
-    COLOURS,
-    DATA,
-    GREEN,
-    GROUND,
-    INK,
-    MARKERS,
-    MIDDLE,
-    MODEL,
-    ORANGE,
-    PALE,
-    REGIONS,
-    SHARED_LABELS,
-    STYLE,
-    WIDTH,
-    labels_of_bounds,
-    no_data,
-    parameter_words,
-    pdf,
-    png,
-    shared_labels,
-    style,
-    svg,
-    told_apart,
-)
+from bayes_sensor.figures.style import WIDTH, no_data, pdf, png, style, svg
 
 __all__ = [
-    "BLUE",
-    "COLOURS",
-    "DATA",
-    "GREEN",
-    "GROUND",
-    "INK",
-    "MARKERS",
-    "MIDDLE",
-    "MODEL",
-    "ORANGE",
-    "PALE",
-    "REGIONS",
-    "SHARED_LABELS",
-    "STYLE",
     "WIDTH",
     "Stage",
     "autocorrelation",
@@ -104,7 +71,7 @@ __all__ = [
     "interval_panel",
     "intervals",
     "labels_of_bounds",
-    "main_parameters",
+    "named_chains",
     "no_data",
     "one_interval",
     "overlay",
@@ -115,7 +82,6 @@ __all__ = [
     "predictive",
     "responses",
     "restored",
-    "schematic",
     "shared_labels",
     "spectra_figure",
     "spread",

@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from bayes_sensor.figures.plot_gap import effect_words
-from bayes_sensor.figures.style import (
+from bayes_sensor.figures.colours import (
     BLUE,
     DATA,
     GREEN,
@@ -21,10 +20,9 @@ from bayes_sensor.figures.style import (
     MODEL,
     ORANGE,
     PALE,
-    SMALLEST,
-    WIDTH,
-    style,
 )
+from bayes_sensor.figures.plot_gap import effect_words
+from bayes_sensor.figures.style import SMALLEST, WIDTH, style
 
 Part = Mapping[str, Any]
 
@@ -72,8 +70,7 @@ def _bars(axes: Axes, parts: Mapping[str, Part], colours: Sequence[str], title: 
     axes.tick_params(axis="y", labelsize=SMALLEST)
     axes.yaxis.grid(False)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, None)
-    axes.set_title(title)
+    axes.set(xlim=(0.0, None), title=title)
 
 
 def _false_alarms(axes: Axes, nulls: Part) -> None:
@@ -105,9 +102,7 @@ def _tau(axes: Axes, tau: Part) -> None:
         axes.set_xlim(-0.5, 1.5)
         axes.set_yticks([])
         _no_case(axes)
-    axes.set_xlabel("cause in model")
-    axes.set_ylabel("mean error of ln τ")
-    axes.set_title("error of τ")
+    axes.set(xlabel="cause in model", ylabel="mean error of ln τ", title="error of τ")
 
 
 def _no_case(axes: Axes, height: float = 0.5) -> None:
@@ -144,9 +139,7 @@ def _against_d(axes: Axes, table: Sequence[Part], title: str, keys: Mapping[str,
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.45, -0.3), fontsize=SMALLEST, handlelength=1.6
     )
-    axes.set_xlabel("size d of the misfit (sd)")
-    axes.set_ylabel("share of campaigns")
-    axes.set_title(title)
+    axes.set(xlabel="size d of the misfit (sd)", ylabel="share of campaigns", title=title)
 
 
 def _reliability(axes: Axes, calibration: Part) -> None:
@@ -164,9 +157,7 @@ def _reliability(axes: Axes, calibration: Part) -> None:
     axes.set_xlim(0, 1.02)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     _shares(axes)
-    axes.set_xlabel(label)
-    axes.set_ylabel("share right")
-    axes.set_title("verdicts")
+    axes.set(xlabel=label, ylabel="share right", title="verdicts")
 
 
 def opened_seal(gap: Part, row: Part) -> Figure:
@@ -186,9 +177,7 @@ def opened_seal(gap: Part, row: Part) -> Figure:
         left.tick_params(axis="y", labelsize=SMALLEST)
         left.yaxis.grid(False)
         left.invert_yaxis()
-        left.set_xlim(0, 1.02)
-        left.set_xlabel("probability")
-        left.set_title("cause (green: the truth)")
+        left.set(xlim=(0, 1.02), xlabel="probability", title="cause (green: the truth)")
         closed, oracle = row["closed"], row["closed_oracle"]
         if closed is not None:
             error = np.abs(np.array([[closed - row["closed_lo"]], [row["closed_hi"] - closed]]))
@@ -197,9 +186,7 @@ def opened_seal(gap: Part, row: Part) -> Figure:
             middle.axhline(oracle, color=GREEN, lw=1.2, ls="--")
         middle.set_ylim(0, 1.15)
         middle.set_xticks([0], ["gap closed"])
-        middle.set_xlim(-0.6, 0.6)
-        middle.set_ylabel("share, 95 % interval")
-        middle.set_title("how far")
+        middle.set(xlim=(-0.6, 0.6), ylabel="share, 95 % interval", title="how far")
         shrink = gap["shrink"]
         values = [1e3 * shrink[key] for key in ("tau_before_s", "tau_after_s")]
         far.plot([0], values[:1], MARKERS[1], color=MIDDLE)
@@ -210,7 +197,5 @@ def opened_seal(gap: Part, row: Part) -> Figure:
         if row["tau_true_s"] is not None:
             far.axhline(1e3 * row["tau_true_s"], color=GREEN, lw=1.2, ls="--")
         far.set_xticks([0, 1], ["without", "with"])
-        far.set_xlim(-0.6, 1.6)
-        far.set_ylabel("τ (ms), 95 % interval")
-        far.set_title("τ")
+        far.set(xlim=(-0.6, 1.6), ylabel="τ (ms), 95 % interval", title="τ")
     return figure

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from bayes_sensor.figures.style import GROUND, INK, MIDDLE, REGIONS, SMALLEST, WIDTH, beside
+from bayes_sensor.figures.colours import GROUND, INK, MIDDLE, REGIONS
+from bayes_sensor.figures.style import SMALLEST, WIDTH, beside
 
 POINTS = 72.0
 """an inch"""

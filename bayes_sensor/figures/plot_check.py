@@ -9,18 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_sensor.campaign import BoolArray, Campaign, Experiment, FloatArray
-from bayes_sensor.figures.style import (
-    BLUE,
-    DATA,
-    GREEN,
-    INK,
-    ORANGE,
-    PALE,
-    WIDTH,
-    new_figure,
-    shortened,
-    style,
-)
+from bayes_sensor.figures.colours import BLUE, DATA, GREEN, INK, ORANGE, PALE
+from bayes_sensor.figures.labels import shortened
+from bayes_sensor.figures.style import WIDTH, new_figure, style
 from bayes_sensor.io.check import quiet_spans
 from bayes_sensor.io.step_remarks import commands_of
 from bayes_sensor.io.steps import find_steps

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.figures.style import (
+from bayes_sensor.figures.colours import (
     BLUE,
     GREEN,
     INK,
@@ -26,11 +26,9 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    WIDTH,
-    panels,
-    plain,
-    style,
 )
+from bayes_sensor.figures.labels import plain
+from bayes_sensor.figures.style import WIDTH, panels, style
 
 if TYPE_CHECKING:  # both compile or load much that other figures do without
     from bayes_sensor.coating import Response
@@ -164,9 +162,7 @@ def diffusion(record: Mapping[str, Any]) -> Figure:
                 f"{level:g} % after {record[key]:.3g} ms", (record[key], level),
                 xytext=(6, -10), textcoords="offset points", fontsize=8,
             )  # fmt: skip
-        axes.set_xlim(0, end)
-        axes.set_xlabel("time (ms)")
-        axes.set_ylabel("concentration at the probe (%)")
+        axes.set(xlim=(0, end), xlabel="time (ms)", ylabel="concentration at the probe (%)")
         axes.legend(loc="lower right")
     return figure
 

@@ -9,19 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_sensor.figures.style import (
-    BLUE,
-    INK,
-    MARKERS,
-    MODEL,
-    ORANGE,
-    PALE,
-    WIDTH,
-    content_of,
-    panels,
-    shortened,
-    style,
-)
+from bayes_sensor.figures.colours import BLUE, INK, MARKERS, MODEL, ORANGE, PALE
+from bayes_sensor.figures.labels import shortened
+from bayes_sensor.figures.style import WIDTH, content_of, panels, style
 
 
 def delays(record: Any, concentration: Mapping[str, float]) -> Figure:
@@ -93,8 +83,7 @@ def delay_panel(
         if (line["band"] or not many) and legend:
             axes.legend(loc="best", fontsize=7)
         axes.margins(0.08)
-        axes.set_xlabel("1/Q (s/L)")
-        axes.set_ylabel(f"{side} delay (s)")
+        axes.set(xlabel="1/Q (s/L)", ylabel=f"{side} delay (s)")
         r2 = "" if line["r2"] is None else f", R² = {line['r2']:.3f}"
         axes.set_title(f"{side} of the step{r2}")
 

@@ -10,23 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.figures.style import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PALE,
-    REGIONS,
-    SMALLEST,
-    WIDTH,
-    Drawing,
-    axis_label,
-    panels,
-    parameter_words,
-    shared_labels,
-    style,
-    told_apart,
-)
+from bayes_sensor.figures.colours import BLUE, GREEN, INK, ORANGE, PALE, REGIONS
+from bayes_sensor.figures.labels import axis_label, parameter_words, shared_labels, told_apart
+from bayes_sensor.figures.style import SMALLEST, WIDTH, Drawing, panels, style
 
 
 def main_parameters(names: Sequence[str]) -> list[str]:
@@ -55,18 +41,15 @@ def named_chains(posterior: Any) -> tuple[list[str], FloatArray]:
     return names, np.stack([posterior.of(name).reshape(shape) for name in names], axis=-1)
 
 
-def corner(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Figure:
+def corner(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     """Joint posterior of the shared parameters: 39, 68 and 95 % regions, 95 % intervals dashed.
 
-    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``; or a posterior alone.
+    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.
     """
     from bayes_sensor.posterior.inference_data import import_quietly  # slow to import
 
-    if chains is None:
-        unit = names.problem.campaign.signal_unit
-        names, chains = named_chains(names)
     corner_plot = import_quietly("corner")
-    words, values = _chosen(list(names), chains, unit)
+    words, values = _chosen(names, chains, unit)
     draws = values.reshape(-1, values.shape[-1])
     draws = draws[:: max(1, len(draws) // 20000)]
     n = len(words)
@@ -116,19 +99,15 @@ def _two_ticks(low: float, high: float) -> list[float]:
     return [float(tick) for tick in (inside[[0, -1]] if len(inside) > 1 else inside)]
 
 
-def traces_and_ranks(names: Any, chains: FloatArray | None = None, unit: str = "V") -> Figure:
+def traces_and_ranks(names: Sequence[str], chains: FloatArray, unit: str = "V") -> Figure:
     """Chains and the ranks of their draws: if they agree, all ranks are equally frequent.
 
-    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``; or a posterior alone.
-
-    The grey band holds 95 % of the bars of independent draws.
+    ``chains`` (n_chain, n_draw, n_theta) in the order of ``names``.  The grey band holds 95 % of
+    the bars of independent draws.
     """
     from scipy.stats import rankdata
 
-    if chains is None:
-        unit = names.problem.campaign.signal_unit
-        names, chains = named_chains(names)
-    words, values = _chosen(list(names), chains, unit)
+    words, values = _chosen(names, chains, unit)
     n_chain, n_draw, n = values.shape
     every = max(1, n_draw // 400)
     dashes = ("-", (0, (3, 1)), (0, (1, 1)), (0, (5, 1, 1, 1)))
@@ -155,8 +134,7 @@ def traces_and_ranks(names: Any, chains: FloatArray | None = None, unit: str = "
                 count, edges = np.histogram(ranks[j], bins, (0, n_chain * n_draw))
                 right.stairs(count, edges, color=colour, lw=1.0, ls=kind, baseline=None)
             left.set_ylabel(axis_label(word))
-            right.set_ylim(0, None)
-            right.set_ylabel("draws")
+            right.set(ylim=(0, None), ylabel="draws")
             left.margins(x=0)
             for axes in (left, right):
                 axes.yaxis.set_major_locator(MaxNLocator(4))

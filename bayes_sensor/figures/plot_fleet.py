@@ -8,18 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_sensor.figures.style import (
-    BLUE,
-    GREEN,
-    GROUND,
-    INK,
-    MIDDLE,
-    ORANGE,
-    beside,
-    panels,
-    shortened,
-    style,
-)
+from bayes_sensor.figures.colours import BLUE, GREEN, GROUND, INK, MIDDLE, ORANGE
+from bayes_sensor.figures.labels import shortened
+from bayes_sensor.figures.style import beside, panels, style
 
 MOST_NAMES = 60
 """campaigns whose names fit beside the figure; more are only ranked"""

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from bayes_sensor.figures.style import (
+from bayes_sensor.figures.colours import (
     BLUE,
     DATA,
     GROUND,
@@ -25,15 +25,9 @@ from bayes_sensor.figures.style import (
     ORANGE,
     PALE,
     REGIONS,
-    SMALLEST,
-    beside,
-    content_of,
-    logarithmic,
-    panels,
-    shortened,
-    style,
-    volts,
 )
+from bayes_sensor.figures.labels import shortened, volts
+from bayes_sensor.figures.style import SMALLEST, beside, content_of, logarithmic, panels, style
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 VISIBLE = 3.0
@@ -94,9 +88,7 @@ def gap_where(where: Sequence[Mapping[str, Any]], unit: str = "V") -> Figure:
         axes.set_yticks(np.arange(size[0]) + 0.5, names)
         if many:
             axes.tick_params(axis="y", labelsize=SMALLEST)
-        axes.set_ylim(size[0], 0)
-        axes.set_ylabel("experiment")
-        axes.set_xlabel("phase of the step")
+        axes.set(ylim=(size[0], 0), ylabel="experiment", xlabel="phase of the step")
         axes.grid(False)
         bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=14, ticks=levels)
         bar.set_ticklabels([f"{level:.2g}" for level in levels])
@@ -172,11 +164,9 @@ def _bars(axes: Any, rows: Sequence[tuple[str, float]], n: int, title: str) -> N
             fontsize=7.5,
         )  # fmt: skip
     axes.set_yticks(range(len(rows)), [shortened(effect_words(name), 32) for name, _ in rows])
-    axes.set_ylim(n - 0.4, -0.6)
-    axes.set_xlim(0, 114)
+    axes.set(ylim=(n - 0.4, -0.6), xlim=(0, 114))
     axes.set_xticks(range(0, 101, 25))
-    axes.set_xlabel("probability (%)")
-    axes.set_title(title)
+    axes.set(xlabel="probability (%)", title=title)
     axes.grid(axis="y", visible=False)
 
 
@@ -213,8 +203,7 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
                         PHASES[phase[begin]], (0.5 * (begin + end - 1), 1.02), ha="center",
                         xycoords=("data", "axes fraction"), va="bottom", fontsize=8, color=INK,
                     )  # fmt: skip
-            axes.set_xlim(-0.7, len(values) - 0.3)
-            axes.set_ylim(-reach, reach)
+            axes.set(xlim=(-0.7, len(values) - 0.3), ylim=(-reach, reach))
             axes.set_xticks([])
             axes.set_yticks([0], [""])  # a number there would read as part of the name
             axes.grid(axis="x", visible=False)

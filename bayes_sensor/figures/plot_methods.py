@@ -10,22 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayes_sensor.figures.colours import BLUE, GREEN, GROUND, INK, MIDDLE, ORANGE
+from bayes_sensor.figures.labels import labels_of_bounds, shared_labels
 from bayes_sensor.figures.method_words import MethodWords, method_words
-from bayes_sensor.figures.style import (
-    BLUE,
-    GREEN,
-    GROUND,
-    INK,
-    MIDDLE,
-    ORANGE,
-    beside,
-    content_of,
-    labels_of_bounds,
-    logarithmic,
-    panels,
-    shared_labels,
-    style,
-)
+from bayes_sensor.figures.style import beside, content_of, logarithmic, panels, style
 
 
 def intervals(bounds: Any, truth: Mapping[str, float] | None = None) -> Figure:
@@ -102,8 +90,7 @@ def interval_panel(
                 )  # fmt: skip
         if truth and name in truth:
             axes.axvline(factor * truth[name], color=GREEN, ls="--", lw=1)
-        axes.set_xlim(low, high)
-        axes.set_xlabel(f"{symbol} ({unit})")
+        axes.set(xlim=(low, high), xlabel=f"{symbol} ({unit})")
         axes.grid(axis="y", visible=False)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.set_yticks(range(len(methods)), [words[m].label for m in methods])
@@ -171,8 +158,7 @@ def step_study(
                 )  # fmt: skip
             logarithmic(axes, "x")
             logarithmic(axes, "y")
-            axes.set_xlabel("relative step")
-            axes.set_ylabel(f"3 sd of {symbol} ({unit})")
+            axes.set(xlabel="relative step", ylabel=f"3 sd of {symbol} ({unit})")
         handles, names = row[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="lower center", ncols=5, borderaxespad=0.1)
     return figure

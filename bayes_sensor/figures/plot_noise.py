@@ -10,19 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from bayes_sensor.figures.style import (
-    BLUE,
-    DATA,
-    INK,
-    MODEL,
-    PALE,
-    content_of,
-    logarithmic,
-    panels,
-    style,
-    thousands,
-    volts,
-)
+from bayes_sensor.figures.colours import BLUE, DATA, INK, MODEL, PALE
+from bayes_sensor.figures.labels import thousands, volts
+from bayes_sensor.figures.style import content_of, logarithmic, panels, style
 from bayes_sensor.fit.traces import Trace
 
 
@@ -53,8 +43,7 @@ def histogram_panel(axes: Axes, residuals: Any, rms: float) -> None:
         x = np.linspace(edges[0], edges[-1], 300)
         normal = total * width / (rms * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (x / rms) ** 2)
         axes.plot(x, normal, color=MODEL, ls="--", label="normal of the same RMS")
-        axes.set_xlabel(f"residual ({unit}), bins of {width:g} {unit}")
-        axes.set_ylabel("samples per bin")
+        axes.set(xlabel=f"residual ({unit}), bins of {width:g} {unit}", ylabel="samples per bin")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value)))
         axes.legend()
 
@@ -78,9 +67,7 @@ def autocorrelation(residuals: Any, traces: Sequence[Trace] = ()) -> Figure:
         right.plot(lag[1:], value[1:], color=BLUE, lw=1.0)
         right.plot(lag[1:], curve[1:], color=MODEL, ls="--")
         logarithmic(right, "x")
-        right.set_xlabel("lag (s), logarithmic")
-        right.set_ylabel("autocorrelation")
-        right.set_title("all lags")
+        right.set(xlabel="lag (s), logarithmic", ylabel="autocorrelation", title="all lags")
         if traces:
             for axes in grid[1]:
                 axes.remove()
@@ -106,10 +93,8 @@ def autocorrelation_panel(axes: Axes, residuals: Any) -> None:
         axes.axhspan(-band, band, color=PALE, lw=0, label="95 % band, white")
         axes.plot(lag, value, "o", color=BLUE, ms=2.6, label="residuals")
         axes.plot(lag, curve, color=MODEL, ls="--", label=law)
-        axes.set_xlim(-0.02 * near, near)
-        axes.set_ylim(min(-0.1, float(np.min(value)) - 0.05), 1.04)
-        axes.set_xlabel("lag (s)")
-        axes.set_ylabel("autocorrelation")
+        axes.set(xlim=(-0.02 * near, near), ylim=(min(-0.1, float(np.min(value)) - 0.05), 1.04))
+        axes.set(xlabel="lag (s)", ylabel="autocorrelation")
         axes.legend(loc="upper right")
 
 
@@ -128,9 +113,7 @@ def _joined_residuals(axes: Axes, traces: Sequence[Trace]) -> None:
             lw=0.3,
         )
         start = float(t[-1])
-    axes.set_xlim(0.0, start)
-    axes.set_xlabel("time, experiments joined (s)")
-    axes.set_ylabel(f"residual ({unit})")
+    axes.set(xlim=(0.0, start), xlabel="time, experiments joined (s)", ylabel=f"residual ({unit})")
     axes.set_title("residuals")
 
 
@@ -193,8 +176,7 @@ def predictive(record: Any, unit: str = "V") -> Figure:
                 logarithmic(axes, "x")
             if name == "spectrum":
                 logarithmic(axes, "y")
-            axes.set_xlabel(x_label)
-            axes.set_ylabel(y_label)
+            axes.set(xlabel=x_label, ylabel=y_label)
             axes.set_title(f"{name.replace('variance', 'spread')}, p {_p(record[name]['p_value'])}")
         grid[0, 0].legend(loc="best")
         _pit(grid[1, 1], record["pit"])
@@ -213,7 +195,5 @@ def _pit(axes: Axes, pit: Mapping[str, Any]) -> None:
     axes.axhspan(1 - half, 1 + half, color=PALE, lw=0)
     axes.stairs(density, np.linspace(0, 1, len(counts) + 1), color=BLUE, lw=1.2, baseline=None)
     reach = max(0.05, 1.4 * float(np.abs(density - 1).max()), 1.6 * half)
-    axes.set_ylim(1 - reach, 1 + reach)
-    axes.set_xlabel("probability that the forecast was lower")
-    axes.set_ylabel("density")
-    axes.set_title(f"next-sample forecasts, p {_p(pit['p_uniform'])}")
+    axes.set(ylim=(1 - reach, 1 + reach), xlabel="probability that the forecast was lower")
+    axes.set(ylabel="density", title=f"next-sample forecasts, p {_p(pit['p_uniform'])}")

@@ -9,18 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_sensor.figures.style import (
-    DATA,
-    GREEN,
-    INK,
-    MIDDLE,
-    MODEL,
-    ORANGE,
-    panels,
-    shortened,
-    style,
-    volts,
-)
+from bayes_sensor.figures.colours import DATA, GREEN, INK, MIDDLE, MODEL, ORANGE
+from bayes_sensor.figures.labels import shortened, volts
+from bayes_sensor.figures.style import panels, style
 from bayes_sensor.fit.traces import Envelope, Trace
 
 
@@ -86,8 +77,7 @@ def overlay_panel(axes: Axes, trace: Trace) -> None:
     """Measurement and model of one experiment, the whole record, on ``axes``."""
     with style():
         _record(axes, trace.whole)
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel(f"signal ({trace.signal_unit})")
+        axes.set(xlabel="time (s)", ylabel=f"signal ({trace.signal_unit})")
         axes.set_title(f"experiment {shortened(trace.name)}")
         axes.legend(loc="best", handlelength=1.6)
 

@@ -10,16 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.figures.style import (
-    DATA,
-    GREEN,
-    INK,
-    MIDDLE,
-    MODEL,
-    REGIONS,
-    new_figure,
-    style,
-)
+from bayes_sensor.figures.colours import DATA, GREEN, INK, MIDDLE, MODEL, REGIONS
+from bayes_sensor.figures.style import new_figure, style
 
 if TYPE_CHECKING:
     from bayes_sensor.restoration import Restored
@@ -58,9 +50,7 @@ def restored(found: Restored) -> Figure:
             )
             lower.fill_between(t, low, high, color=colour, lw=0, label=words)
         lower.plot(t, _of_each(np.nanmean, found.value, starts), color=MODEL, lw=1.0, label="input")
-        lower.set_ylabel(f"restored input{of_unit}")
-        lower.set_xlabel(f"time ({unit})")
-        lower.set_xlim(t[0], t[-1])
+        lower.set(ylabel=f"restored input{of_unit}", xlabel=f"time ({unit})", xlim=(t[0], t[-1]))
         low, high = lower.get_ylim()
         lower.set_ylim(low, high + 0.22 * (high - low))  # room for the legend
         resolution = found.resolution_s

@@ -9,22 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_sensor.figures.style import (
-    BLUE,
-    GREEN,
-    INK,
-    MARKERS,
-    MIDDLE,
-    ORANGE,
-    PALE,
-    beside,
-    logarithmic,
-    panels,
-    parameter_words,
-    shortened,
-    show_zero,
-    style,
-)
+from bayes_sensor.figures.colours import BLUE, GREEN, INK, MARKERS, MIDDLE, ORANGE, PALE
+from bayes_sensor.figures.labels import parameter_words, shortened
+from bayes_sensor.figures.style import beside, logarithmic, panels, show_zero, style
 
 MOST_PARTNERS = 8
 """entries of the weakest direction that are shown"""
@@ -76,9 +63,7 @@ def _profile(axes: Axes, record: Mapping[str, Any]) -> None:
     axes.axhline(1.92, color=MIDDLE, lw=0.8)
     axes.annotate("95 %", (0.99, 1.92), xycoords=("axes fraction", "data"), ha="right",
                   va="bottom", fontsize=7, color=MIDDLE)  # fmt: skip
-    axes.set_ylim(0.0, 6.0)
-    axes.set_xlabel("sensor τ (ms)")
-    axes.set_ylabel("loss of log-likelihood")
+    axes.set(ylim=(0.0, 6.0), xlabel="sensor τ (ms)", ylabel="loss of log-likelihood")
     axes.set_title("how well the data hold τ")
     axes.legend(loc="upper left")
 
@@ -92,8 +77,7 @@ def _against_tau(axes: Axes, record: Mapping[str, Any]) -> None:
     axes.plot(tau, tau, color=MIDDLE, lw=0.8, label="τ itself")
     logarithmic(axes, "x")
     logarithmic(axes, "y")
-    axes.set_xlabel("true τ (ms)")
-    axes.set_ylabel("one standard deviation (ms)")
+    axes.set(xlabel="true τ (ms)", ylabel="one standard deviation (ms)")
     axes.set_title("the information is on τ²")
     axes.legend(loc="best")
 
@@ -114,8 +98,7 @@ def _known(axes: Axes, record: Mapping[str, float | None]) -> None:
     top = float(np.nanmax(sd, initial=0.0))
     axes.set_xlim(0.0, 1.3 * top if top > 0 else 1.0)
     axes.grid(axis="y", visible=False)
-    axes.set_xlabel("bound on τ (ms, one standard deviation)")
-    axes.set_title("if something else were known")
+    axes.set(xlabel="bound on τ (ms, one standard deviation)", title="if something else were known")
 
 
 def _weakest(axes: Axes, record: Mapping[str, float]) -> None:
@@ -128,8 +111,7 @@ def _weakest(axes: Axes, record: Mapping[str, float]) -> None:
     axes.set_yticks(rows, [shortened(parameter_words(name)[0]) for name in names])
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
-    axes.set_xlabel("share in the direction (scaled)")
-    axes.set_title("what the data know least")
+    axes.set(xlabel="share in the direction (scaled)", title="what the data know least")
 
 
 def what_would_help(rows: Sequence[Mapping[str, Any]]) -> Figure:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from math import floor, log10
 
-from bayes_sensor.figures.style import raised
+from bayes_sensor.figures.labels import raised
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -60,6 +60,8 @@ def interval(low: float, high: float) -> str:
     return f"[{with_spread(low, high - low)}, {with_spread(high, high - low)}]"
 
 
+LAG_WORDS = {"faster": "shorter", "between": "middle", "slower": "longer"}
+"""which of the lags the sensor's is, by ``sensor_is``"""
 SECONDS_FROM = 1.0
 """s; a lag is given in seconds from here on, below in ms"""
 
@@ -139,5 +141,9 @@ def sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else text + "."
 
 
-def ms(value: float | None) -> float | None:
-    return None if value is None else 1e3 * value
+def scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
+
+
+def ms(seconds: float | None) -> float | None:
+    return scaled(seconds, 1e3)

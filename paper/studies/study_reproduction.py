@@ -8,17 +8,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from drawing import FIGURES, PAPER, TABLES
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 
 from bayes_sensor import figures
 from bayes_sensor.bounds import cramer_rao
 from bayes_sensor.checks.delays import regress_delays
 from bayes_sensor.checks.predictive import check_predictive
+from bayes_sensor.figures.colours import BLUE, INK, MIDDLE, PALE, REGIONS
+from bayes_sensor.figures.style import panels, style
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.fit.traces import make_traces
 from bayes_sensor.io.readers import read_campaign
@@ -67,7 +73,7 @@ def run(
     chains = ([*posterior.layout.names], posterior.chains)
     for name, figure in (
         ("responses", figures.responses(traces)),
-        ("schematic", figures.schematic()),
+        ("schematic", schematic()),
         ("overlay", figures.overlay(traces[0])),
         ("histogram", figures.histogram(residuals, fit.rms)),
         ("delays", figures.delays(delays, concentration)),
@@ -79,6 +85,57 @@ def run(
         (FIGURES / f"reproduction_{name}.png").write_bytes(figures.png(figure))
         (FIGURES / f"reproduction_{name}.svg").write_text(figures.svg(figure), encoding="utf-8")
     progress(2, 2)
+
+
+def schematic() -> Figure:
+    """The model as a chain of first-order lags, with the response of each to a step (paper Fig.
+    4)."""
+    boxes = (
+        ("command", "u(t)", "open at t₀, then shut"),
+        ("valve", "x₁′ = (u − x₁)/τᵥ", "same in every experiment"),
+        ("manifold", "x₂′ = (Q/V)(x₁ − x₂)", "faster at higher flow"),
+        ("sensor", "x₃′ = (x₂ − x₃)/τ", "the lag that is sought"),
+        ("readout", "y = y₀ + β x₃", "plus coloured noise"),
+    )
+    lags = (0.0, 0.35, 0.6, 0.12, 0.0)
+    with style():
+        figure, ((axes,),) = panels(2.15, left=0.05, right=0.05, top=0.05, bottom=0.05)
+        axes.set_axis_off()
+        axes.set(xlim=(0.0, 5.0), ylim=(0.0, 1.0))
+        kept: list[float] = []
+        for i, (name, law, remark) in enumerate(boxes):
+            left = i + 0.06
+            axes.add_patch(
+                FancyBboxPatch(
+                    (left, 0.3), 0.82, 0.66, boxstyle="round,pad=0,rounding_size=0.04",
+                    facecolor=REGIONS[0] if name == "sensor" else "none", edgecolor=INK, lw=0.9,
+                )
+            )  # fmt: skip
+            axes.text(left + 0.41, 0.89, name, ha="center", va="center", weight="bold", fontsize=9)
+            axes.text(left + 0.41, 0.4, law, ha="center", va="center", fontsize=7.6)
+            axes.text(left + 0.41, 0.2, remark, ha="center", va="center", fontsize=7, color=MIDDLE)
+            kept = [*kept, lags[i]] if lags[i] else kept
+            _pulse(axes, left + 0.1, kept)
+            if i + 1 < len(boxes):
+                axes.annotate(
+                    "", (left + 1.0, 0.63), (left + 0.82, 0.63),
+                    arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0},
+                )  # fmt: skip
+    return figure
+
+
+def _pulse(axes: Axes, left: float, lags: Sequence[float]) -> None:
+    """A step up and down after first-order lags, drawn small."""
+    t = np.linspace(0.0, 8.0, 400)
+    x = ((t > 1.0) & (t < 5.0)).astype(float)
+    for lag in lags:
+        follow = np.zeros_like(x)
+        gain = -np.expm1(-(t[1] - t[0]) / lag)
+        for k in range(1, len(t)):
+            follow[k] = follow[k - 1] + gain * (x[k] - follow[k - 1])
+        x = follow
+    axes.plot(left + 0.62 * t / 8.0, np.full_like(t, 0.5), color=PALE, lw=0.7)
+    axes.plot(left + 0.62 * t / 8.0, 0.5 + 0.28 * x, color=BLUE, lw=1.4)
 
 
 def table_one(campaign: Any) -> pd.DataFrame:

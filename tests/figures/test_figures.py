@@ -12,6 +12,17 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from bayes_sensor import figures
+from bayes_sensor.figures.colours import (
+    BLUE,
+    COLOURS,
+    DATA,
+    GROUND,
+    INK,
+    MODEL,
+    ORANGE,
+    PALE,
+    REGIONS,
+)
 from bayes_sensor.fit.traces import Trace, envelope
 
 RNG = np.random.default_rng(7)
@@ -170,7 +181,6 @@ MAKERS = {
         lambda: figures.responses([trace(), trace("2", fall=False)]),
         ("time after the command (s)", "signal (V)", "11 % test gas", "4.5 L/min"),
     ),
-    "schematic": (figures.schematic, ("valve", "y = y₀ + β x₃", "the lag that is sought")),
     "gap_where": (
         lambda: figures.gap_where(gap_record()["where"]),
         ("experiment", "phase of the step", "excess RMS (mV)", "40 %", "fall", "&lt;b&gt;"),
@@ -240,16 +250,14 @@ def test_colours_that_meet_in_one_plot_differ_in_grey() -> None:
     def grey(colour: str) -> float:
         return float(np.dot(to_rgb(colour), (0.299, 0.587, 0.114)))
 
-    pairs = [(figures.DATA, figures.MODEL), (figures.DATA, figures.INK),
-             (figures.DATA, figures.ORANGE), (figures.PALE, figures.BLUE),
-             (figures.PALE, figures.MODEL), (figures.ORANGE, figures.INK),
-             (figures.GROUND, figures.REGIONS[1]), (figures.REGIONS[1], figures.BLUE)]  # fmt: skip
+    pairs = [(DATA, MODEL), (DATA, INK), (DATA, ORANGE), (PALE, BLUE), (PALE, MODEL), (ORANGE, INK),
+             (GROUND, REGIONS[1]), (REGIONS[1], BLUE)]  # fmt: skip
     for a, b in pairs:
         assert abs(grey(a) - grey(b)) > 0.15, (a, b)
 
 
 def test_every_colour_of_a_drawing_is_known_to_the_page() -> None:
-    known = {*figures.COLOURS, "#ffffff", "#000000"}
+    known = {*COLOURS, "#ffffff", "#000000"}
     for name, (make, _) in MAKERS.items():
         used = set(re.findall(r"#[0-9a-f]{6}\b", figures.svg(make())))
         assert used <= known, f"{name}: {used - known}"
