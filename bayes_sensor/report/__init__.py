@@ -15,7 +15,7 @@ from bayes_sensor.io.disk import own_folder, write_bytes, write_text
 from bayes_sensor.report.assemble import PAGES, Report, assemble
 from bayes_sensor.report.headline import Headline, chain_words, headline
 from bayes_sensor.report.notices import alerts
-from bayes_sensor.report.parts import Picture, Pictures, Section, Table, draw
+from bayes_sensor.report.parts import Picture, Section, Table, draw
 from bayes_sensor.report.saved import Saved, check_folder, read_results
 from bayes_sensor.report.words import list_words, number, p_words, time_words, with_spread
 
@@ -25,14 +25,12 @@ __all__ = [
     "Choice",
     "Headline",
     "Picture",
-    "Pictures",
     "Report",
     "Saved",
     "Section",
     "Table",
     "alerts",
     "assemble",
-    "build_report",
     "chain_words",
     "check_folder",
     "headline",
@@ -70,51 +68,23 @@ class Choice:
     """processes that draw"""
 
 
-def build_report(
-    folder: str | Path,
-    figure_folder: str | Path | None = None,
-    progress: Progress | None = None,
-    choice: Choice | None = None,
-) -> str:
-    """The HTML page of a results directory, as text.
-
-    ``figure_folder``: where to save the figures that it shows.
-
-    Raises CampaignError if ``folder`` is not a results directory.
-    """
-    from bayes_sensor.report import html
-
-    place = None if figure_folder is None else Path(figure_folder)
-    return html.page(_drawn(folder, place, progress, choice or Choice()))
-
-
 def write_report(
     source: str | Path,
     target: str | Path,
     choice: Choice | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the report of ``source`` into the folder ``target``, with its figures; the file."""
+    """Write the report of ``source`` into the folder ``target``, with its figures; the file.
+
+    Raises CampaignError if ``source`` is not a results directory.
+    """
     from bayes_sensor.report import html, markdown, pdf
 
     choice = choice or Choice()
     place = Path(target) / FORMATS[choice.form]
     figure_folder = own_folder(Path(target) / FIGURES)
     figure_folder.mkdir(exist_ok=True)
-    report = _drawn(source, figure_folder, progress, choice)
-    if choice.form == "html":
-        write_text(place, html.page(report))
-    elif choice.form == "md":
-        write_text(place, markdown.document(report, FIGURES))
-    else:
-        write_bytes(place, pdf.document(report))
-    return place
-
-
-def _drawn(
-    folder: str | Path, figure_folder: Path | None, progress: Progress | None, choice: Choice
-) -> Report:
-    saved = read_results(folder, choice.compare_published)
+    saved = read_results(source, choice.compare_published)
     report = assemble(saved, choice.pages, choice.form == "html", choice.figures)
     draw(
         report.to_draw(),
@@ -123,4 +93,10 @@ def _drawn(
         jobs=choice.jobs,
         progress=progress or (lambda fraction, text: None),
     )
-    return report
+    if choice.form == "html":
+        write_text(place, html.page(report))
+    elif choice.form == "md":
+        write_text(place, markdown.document(report, FIGURES))
+    else:
+        write_bytes(place, pdf.document(report))
+    return place

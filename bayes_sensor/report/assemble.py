@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bayes_sensor.report.first_page import FirstPage, first_page
-from bayes_sensor.report.parts import Part, Picture, Pictures, Section, numbering
+from bayes_sensor.report.parts import Part, Picture, Section, Table, numbering
 from bayes_sensor.report.saved import Saved
 
 PAGES = ("short", "full")
@@ -53,8 +53,7 @@ class Report:
     @property
     def numbers(self) -> dict[str, str]:
         """``Table 3`` or ``Figure 2`` by key, of what is in the report."""
-        shown = [self.first.content, *(s.content for s in self.sections if self.with_details)]
-        return numbering(shown)
+        return numbering(self.parts)
 
     @property
     def zoomable(self) -> bool:
@@ -62,11 +61,15 @@ class Report:
         samples, traces = self.saved.samples or [], self.saved.traces or []
         return self.folded and len(samples) == len(traces) > 0
 
+    @property
+    def parts(self) -> list[Part]:
+        """Every table and picture in the report."""
+        sections = self.sections if self.with_details else []
+        return [*self.first.content, *(part for s in sections for part in s.content)]
+
     def pictures(self) -> Iterator[Picture]:
         """Every picture in the report."""
-        sections = self.sections if self.with_details else []
-        for content in (self.first.content, *(section.content for section in sections)):
-            yield from (part for part in content if isinstance(part, Picture))
+        return (part for part in self.parts if isinstance(part, Picture))
 
     def to_draw(self) -> list[Picture]:
         """The pictures that are drawn now.
@@ -74,12 +77,11 @@ class Report:
         In the short report those of the draws are left to paper, and overlays behind the first page
         to the page itself.
         """
-        first = [part for part in self.first.content if isinstance(part, Picture)]
         return [
             picture
             for picture in self.pictures()
             if self.full
-            or picture in first
+            or picture in self.first.content
             or not (picture.on_paper or (picture.overlay is not None and self.zoomable))
         ]
 
@@ -94,17 +96,12 @@ def assemble(
     """
     from bayes_sensor.report.sections import make_sections
 
-    pictures = Pictures()
-    sections = make_sections(saved, pictures)
-    first = first_page(saved, sections, pictures)
+    sections = make_sections(saved)
+    first = first_page(saved, sections)
     if not figures:
-        first.content = [part for part in first.content if not _waits(part)]
-        for section in sections:
-            section.content = [part for part in section.content if not _waits(part)]
+        content = [first.content, *(section.content for section in sections)]
+        for parts in content:
+            parts[:] = [part for part in parts if isinstance(part, Table) or part.drawing]
     # nothing is folded behind an empty page, as that of a blind check
     full = pages == "full" or not (first.tau or first.facts)
     return Report(saved, first, sections, full, folded)
-
-
-def _waits(part: Part) -> bool:
-    return isinstance(part, Picture) and not part.drawing

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from bayes_sensor import figures
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.method_words import method_words, quoted
-from bayes_sensor.fit.traces import Trace
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
-from bayes_sensor.report.headline import SAY_WHICH, Headline, chain_words, headline
+from bayes_sensor.report.headline import SAY_WHICH, Headline, chain_words
 from bayes_sensor.report.notices import alerts
-from bayes_sensor.report.parts import Part, Picture, Pictures, Section, see
+from bayes_sensor.report.parts import Part, Picture, Section, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.stage_values import stage_values
 from bayes_sensor.report.words import number, sentence, time_words, typeset
@@ -49,47 +47,36 @@ class FirstPage:
     """the chain and one overlay"""
 
 
-def first_page(saved: Saved, sections: Sequence[Section], pictures: Pictures) -> FirstPage:
+def first_page(saved: Saved, sections: Sequence[Section]) -> FirstPage:
     """The first page; takes its overlay out of ``sections``."""
-    head = headline(saved.posterior, saved.bounds, saved.settings)
+    head = saved.headline
     told = alerts(saved)
+    facts = (_limit(head), _chain(saved, head), _noise(saved), _model(saved, head), _next(sections))
     page = FirstPage(
         "" if head is None else _without_stop(typeset(head.text.replace(f": {SAY_WHICH}", ""))),
         "" if head is None else _why(saved, head),
-        [
-            fact
-            for fact in (_limit(head), _chain(saved, head), _noise(saved), _model(saved, head),
-                         _next(sections))
-            if fact is not None
-        ],
+        [fact for fact in facts if fact is not None],
         [text for kind, text in told if kind == "bad"],
         [text for kind, text in told if kind != "bad"],
-    )  # fmt: skip
-    stages = stage_values(saved)
-    if stages:
+    )
+    if stages := stage_values(saved):
         caption = (
             "The chain as understood, with the medians of what was estimated; shaded, the sensor."
         )
-        page.content.append(Picture("chain", caption, drawing=figures.chain(stages)))
-    shown = _misfit(saved.traces or [])
-    for section in sections if shown is not None else ():
-        for part in section.content:
-            if isinstance(part, Picture) and part.overlay == shown:
-                section.content.remove(part)
-                page.content.append(part)
-                break
+        page.content.append(Picture("chain", None, caption, drawing=figures.chain(stages)))
+    if saved.traces:  # the one that the model describes worst, measured in its noise
+        misfit = [t.rms / float(np.sqrt(np.mean(t.whole.sd**2))) for t in saved.traces]
+        for section in sections:
+            for part in section.content:
+                if isinstance(part, Picture) and part.overlay == int(np.argmax(misfit)):
+                    section.content.remove(part)
+                    page.content.append(part)
+                    return page
     return page
 
 
 def _without_stop(text: str) -> str:
     return sentence(text).removesuffix(".")
-
-
-def _misfit(traces: Sequence[Trace]) -> int | None:
-    """The trace that the model describes worst, measured in its noise; None if there is none."""
-    if not traces:
-        return None
-    return int(np.argmax([t.rms / float(np.sqrt(np.mean(t.whole.sd**2))) for t in traces]))
 
 
 def _why(saved: Saved, head: Headline) -> str:
@@ -121,11 +108,8 @@ def _why(saved: Saved, head: Headline) -> str:
 def _limit(head: Headline | None) -> Fact | None:
     if head is None or head.hidden or not (head.is_limit and head.limit):
         return None
-    return Fact(
-        "Limit",
-        f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %).",
-        "tau",
-    )
+    words = f"Zero is not excluded: read it as an upper limit, τ < {head.limit} (95 %)."
+    return Fact("Limit", words, "tau")
 
 
 def _chain(saved: Saved, head: Headline | None) -> Fact | None:
@@ -179,5 +163,5 @@ def _model(saved: Saved, head: Headline | None) -> Fact | None:
 
 def _next(sections: Sequence[Section]) -> Fact | None:
     """The answer of the section on what to measure next."""
-    found: Mapping[str, Any] = {section.key: section.answer for section in sections}
-    return Fact("Measure next", found["next"], "next") if found.get("next") else None
+    answer = next((section.answer for section in sections if section.key == "next"), "")
+    return Fact("Measure next", answer, "next") if answer else None

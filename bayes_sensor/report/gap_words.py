@@ -39,41 +39,38 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
 
 
 def with_the_effect(saved: Saved) -> str:
-    """tau with the named effect in the model, if the posterior leaves it out; else nothing."""
-    if saved.gap is None:
+    """tau with the cause in the model, if the posterior leaves it out; else nothing.
+
+    The cause: the effect that the gap names, or after an unlisted verdict a smooth discrepancy.
+    """
+    gap, posterior = saved.gap or {}, saved.posterior or {}
+    if not gap:
         return ""
-    verdict, shrink = saved.gap["verdict"], saved.gap["shrink"]
-    if verdict["kind"] == "unlisted":
-        return _with_discrepancy(saved)
-    low, mid, high = (ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi"))
-    if verdict["kind"] != "effect" or shrink.get("withheld"):
+    verdict, shrink = gap["verdict"], gap["shrink"]
+    symbol, with_it = "τ", gap.get("tau_with_discrepancy_s") or {}
+    if verdict["kind"] == "unlisted" and not posterior.get("with_discrepancy"):
+        what = "a smooth discrepancy in the model, which stands for the unlisted cause,"
+        option = "--with-discrepancy"
+        if not with_it:
+            symbol, with_it = "the shorter lag", gap.get("lag_fast_with_discrepancy_s") or {}
+        ends = [ms(with_it.get(key)) for key in ("q2.5", "q50", "q97.5")]
+    # what is in the noise moves no estimate of tau
+    elif (
+        verdict["kind"] == "effect"
+        and not shrink.get("withheld")
+        and shrink.get("of_mean", True)
+        and not posterior.get("with_effects")
+    ):
+        what = f"{list_words([effect_words(name) for name in verdict['effects']])} in the model"
+        option = " ".join(f"--with-effect {name}" for name in verdict["effects"])
+        ends = [ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi")]
+    else:
         return ""
-    if not shrink.get("of_mean", True):  # what is in the noise moves no estimate of tau
-        return ""
+    low, mid, high = ends
     if low is None or mid is None or high is None:
         return ""
-    if saved.posterior is not None and saved.posterior.get("with_effects"):
-        return ""
     return (
-        f"With {list_words([effect_words(name) for name in verdict['effects']])} in the model "
-        f"τ is {with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote "
-        "that, not the interval without it, or sample it with bayes-sensor posterior --with-effect "
-        f"{' --with-effect '.join(verdict['effects'])}."
-    )
-
-
-def _with_discrepancy(saved: Saved) -> str:
-    """tau with a smooth discrepancy in the model, after an unlisted verdict."""
-    gap, posterior = saved.gap or {}, saved.posterior or {}
-    if posterior.get("with_discrepancy"):
-        return ""
-    symbol = "τ" if gap.get("tau_with_discrepancy_s") else "the shorter lag"
-    found = gap.get("tau_with_discrepancy_s") or gap.get("lag_fast_with_discrepancy_s")
-    if not found:
-        return ""
-    low, mid, high = (1e3 * found[key] for key in ("q2.5", "q50", "q97.5"))
-    return (
-        f"With a smooth discrepancy in the model, which stands for the unlisted cause, {symbol} is "
-        f"{with_spread(mid, high - low)} ms, 95 % interval {interval(low, high)} ms: quote that, "
-        "not the interval without it, or sample it with bayes-sensor posterior --with-discrepancy."
+        f"With {what} {symbol} is {with_spread(mid, high - low)} ms, 95 % interval "
+        f"{interval(low, high)} ms: quote that, not the interval without it, or sample it with "
+        f"bayes-sensor posterior {option}."
     )

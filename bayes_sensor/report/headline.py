@@ -33,6 +33,8 @@ class Headline:
     """whether the sensor's lag is one of several"""
     hidden: bool = False
     """whether the response is over within one sampling interval"""
+    ends_s: tuple[float, float] | None = None
+    """the 95 % interval of tau, where one is stated"""
 
     def __str__(self) -> str:
         return f"{self.text}; {self.naive}" if self.naive else self.text
@@ -116,7 +118,7 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
     limit = ""
     if is_limit and half_normal:
         limit = f"{with_spread(1e3 * half_normal['upper95_s'], 1e3 * (hi - lo))} ms"
-    return Headline(text, naive, is_limit, limit)
+    return Headline(text, naive, is_limit, limit, ends_s=(lo, hi))
 
 
 def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
@@ -215,8 +217,10 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
 
     if rows.get("tau_s"):
         row = rows["tau_s"]
-        is_limit = row["lo95"] is not None and row["lo95"] <= 0
-        return Headline(f"tau = {words(row)} ({method})", naive, is_limit)
+        low, high = row["lo95"], row["hi95"]
+        is_limit = low is not None and low <= 0
+        ends = None if None in (low, high) else (low, high)
+        return Headline(f"tau = {words(row)} ({method})", naive, is_limit, ends_s=ends)
     lags = [rows[name] for name in rows if name.startswith("lag_") and rows[name]]
     if not lags:
         return None

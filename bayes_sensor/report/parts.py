@@ -9,13 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from bayes_sensor.io.disk import write_bytes, write_text
-from bayes_sensor.report.words import number, p_words, with_spread
+from bayes_sensor.report.words import number, p_words, sentence, with_spread
 from bayes_sensor.workers import WorkerDied, completed
 
 FEW = 16
@@ -27,6 +25,11 @@ _OPEN, _CLOSE = "\x02", "\x03"
 def see(*keys: str) -> str:
     """Numbers of tables or pictures in brackets, placed after the text that refers to them."""
     return " (" + ", ".join(f"{_OPEN}{key}{_CLOSE}" for key in keys) + ")"
+
+
+def pointing(text: str, *keys: str) -> str:
+    """``text`` as a sentence that names tables or pictures before its stop."""
+    return f"{sentence(text).removesuffix('.')}{see(*keys)}."
 
 
 def pieces(text: str, numbers: dict[str, str]) -> Iterator[tuple[str, str]]:
@@ -114,9 +117,9 @@ class Picture:
     """A figure with its caption; drawn only where the report shows it."""
 
     key: str
+    make: Callable[[], Any] | None
+    """makes the matplotlib figure; None where it is drawn already"""
     caption: str
-    make: Callable[[], Any] | None = None
-    """makes the matplotlib figure"""
     overlay: int | None = None
     """number of the trace that it shows, from 0, where it can be zoomed"""
     on_paper: bool = False
@@ -138,40 +141,23 @@ class Section:
     """one or two sentences that answer the question"""
     paragraphs: list[str] = field(default_factory=list)
     content: list[Part] = field(default_factory=list)
+    """tables without rows are left out"""
+
+    def __post_init__(self) -> None:
+        self.content = [part for part in self.content if isinstance(part, Picture) or part.rows]
 
 
-def numbering(contents: Iterable[Sequence[Part]]) -> dict[str, str]:
+def numbering(parts: Iterable[Part]) -> dict[str, str]:
     """``Table 3`` or ``Figure 2`` by key, in the order of the report."""
     numbers: dict[str, str] = {}
     counts = {"Table": 0, "Figure": 0}
-    for part in chain.from_iterable(contents):
+    for part in parts:
         kind = "Table" if isinstance(part, Table) else "Figure"
         if part.key in numbers:
             raise ValueError(f"two parts of the report are called '{part.key}'")
         counts[kind] += 1
         numbers[part.key] = f"{kind} {counts[kind]}"
     return numbers
-
-
-class Pictures:
-    """Makes the pictures of a section."""
-
-    def add(
-        self,
-        key: str,
-        figure: Any,
-        caption: str,
-        *,
-        overlay: int | None = None,
-        on_paper: bool = False,
-    ) -> Picture:
-        """A picture of ``figure``: a function that makes it (drawn when needed), or the figure."""
-        make = figure if callable(figure) else partial(_itself, figure)
-        return Picture(key, caption, make, overlay, on_paper)
-
-
-def _itself(figure: Any) -> Any:
-    return figure
 
 
 def draw(

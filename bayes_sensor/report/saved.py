@@ -12,6 +12,7 @@ from bayes_sensor.campaign import ZIF8, CampaignError
 from bayes_sensor.fit.samples import Samples, load_samples
 from bayes_sensor.fit.traces import Trace, load_traces
 from bayes_sensor.io.results import Results
+from bayes_sensor.report.headline import Headline, headline
 
 OF_A_CASE = ("case", "kind", "causes", "law", "d", "verdict", "said", "p_said", "confident_wrong",
              "verdict_right")  # fmt: skip
@@ -80,6 +81,11 @@ class Saved:
             if name in commands:
                 return commands[name].get("settings") or {}
         return {}
+
+    @cached_property
+    def headline(self) -> Headline | None:
+        """The first sentence of the report; None if nothing was estimated."""
+        return headline(self.posterior, self.bounds, self.settings)
 
     @property
     def published(self) -> bool:

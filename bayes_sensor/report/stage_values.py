@@ -7,7 +7,7 @@ from typing import Any
 
 from bayes_sensor.figures import Stage
 from bayes_sensor.figures.method_words import quoted
-from bayes_sensor.report.headline import LIMIT, count_limits, headline, stated_set
+from bayes_sensor.report.headline import LIMIT, count_limits, stated_set
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import interval, number, time_unit, time_words, with_spread
 
@@ -33,10 +33,6 @@ def stage_values(saved: Saved) -> list[Stage]:
             words = _unassigned(saved.posterior)
         made.append(Stage(name, tuple(words), is_sensor=name == "sensor"))
     return made
-
-
-def _symbol(key: str) -> str:
-    return "τᵥ" if key == "tau_v_s" else "τ"
 
 
 def _estimates(saved: Saved) -> dict[str, Mapping[str, Any]]:
@@ -83,33 +79,25 @@ def _unassigned(posterior: Mapping[str, Any] | None) -> list[str]:
 def _lines(key: str, row: Mapping[str, Any], saved: Saved) -> Iterator[str]:
     """The value; of a volume also the time that it takes, at the lowest and the highest flow."""
     middle, low, high = row["q50"], row.get("q2.5"), row.get("q97.5")
-    spread = None if low is None or high is None else high - low
-    of = key.partition("[")[2].removesuffix("]")
-    label = f"{of}: " if of else ""
-    limited = low is not None and high is not None and low < LIMIT * middle
-    head = headline(saved.posterior, saved.bounds, saved.settings)
+    head = saved.headline
     if key == "tau_s" and head is not None and head.is_limit and head.limit:
         yield f"τ < {head.limit}"
         return
-    if not key.startswith("V"):
-        factor, unit = time_unit(high if limited and high else middle)
-        if limited and high is not None:
-            yield f"{label}{_symbol(key)} < {with_spread(factor * high, factor * high)} {unit}"
-            return
-        value = factor * middle
-        shown = with_spread(value, factor * spread) if spread else number(value)
-        yield f"{label}{_symbol(key)} = {shown} {unit}"
+    is_volume = key.startswith("V")
+    of = key.partition("[")[2].removesuffix("]")
+    label = f"{of}: " if of else ""
+    label += "V" if is_volume else "τᵥ" if key == "tau_v_s" else "τ"
+    if low is not None and high and low < LIMIT * middle:
+        factor, unit = (1.0, "mL") if is_volume else time_unit(high)
+        yield f"{label} < {with_spread(factor * high, factor * high)} {unit}"
         return
-    if limited and high is not None:
-        yield f"V < {with_spread(high, high)} mL"
-        return
-    yield f"V = {with_spread(middle, spread) if spread else number(middle)} mL"
+    factor, unit = (1.0, "mL") if is_volume else time_unit(middle)
+    spread = None if low is None or high is None else factor * (high - low)
+    shown = with_spread(factor * middle, spread) if spread else number(factor * middle)
+    yield f"{label} = {shown} {unit}"
     flows = [e.get("total_flow_L_min") for e in saved.campaign["experiments"]]
-    times = sorted({time_words(60e-3 * middle / flow) for flow in flows if flow})
-    if times:
-        ends = sorted(60e-3 * middle / flow for flow in flows if flow)
-        yield (
-            time_words(ends[0])
-            if len(times) == 1
-            else (f"{number(ends[0], 2)} to {number(ends[-1], 2)} s")
-        )
+    times = sorted(60e-3 * middle / flow for flow in flows if flow)
+    if is_volume and times:
+        alike = len({time_words(time) for time in times}) == 1
+        ends = f"{number(times[0], 2)} to {number(times[-1], 2)} s"
+        yield time_words(times[0]) if alike else ends

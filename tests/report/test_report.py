@@ -23,6 +23,7 @@ from bayes_sensor.analysis import job
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.simulate_campaigns import published_design
+from bayes_sensor.figures.colours import COLOURS
 from bayes_sensor.fit.samples import load_samples
 from bayes_sensor.io.check import campaign_rows
 from bayes_sensor.io.json_files import plain
@@ -34,7 +35,6 @@ from bayes_sensor.report import (
     Table,
     alerts,
     assemble,
-    build_report,
     draw,
     headline,
     html,
@@ -44,6 +44,7 @@ from bayes_sensor.report import (
     pdf,
     read_results,
     with_spread,
+    write_report,
 )
 from bayes_sensor.report.drawing import inline_svg
 from bayes_sensor.report.first_page import first_page
@@ -51,7 +52,6 @@ from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
 from bayes_sensor.report.html import zoom_data
 from bayes_sensor.report.markdown import escaped
 from bayes_sensor.report.parts import (
-    Pictures,
     Section,
     numbering,
     p_value,
@@ -137,7 +137,7 @@ def saved(whole: Report) -> Saved:
 
 def facts(saved: Saved) -> dict[str, str]:
     """The sentences of the first page by their label."""
-    return {fact.label: fact.text for fact in first_page(saved, [], Pictures()).facts}
+    return {fact.label: fact.text for fact in first_page(saved, []).facts}
 
 
 # --- the published bounds
@@ -165,7 +165,7 @@ def test_published_bounds_stand_beside_those_of_the_published_design_alone(
             saved = replace(
                 read_results(tmp_path / "out", compared), campaign={**mine, "experiments": rows}
             )
-            section = time_constant(saved, Pictures())
+            section = time_constant(saved)
             assert section is not None
             found = [p for p in section.content if getattr(p, "key", "") == "step_study"]
             assert len(found) == compared
@@ -273,7 +273,7 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
         predictive=None,
         gap=found,
     )  # fmt: skip
-    page, told = first_page(saved, [], Pictures()), facts(saved)
+    page, told = first_page(saved, []), facts(saved)
     assert page.tau.startswith("τ = 22 ms, 95 % interval [1, 64] ms")
     assert "63 %" in page.why and "the posterior's alone averages" in page.why
     assert "of 3 intervals" in page.why  # the published recipe is not among them
@@ -295,7 +295,7 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
     assert told["Model right?"] == "Nothing. With them τ could reach 240 ms."
     assert gap_sentence({**found, "verdict": none}, False).endswith("could lie from 6.8 to 240 ms.")
     bare = replace(saved, posterior=None, bounds=None, gap=None, residuals=None)
-    assert first_page(bare, [], Pictures()).tau == "" and facts(bare) == {}
+    assert first_page(bare, []).tau == "" and facts(bare) == {}
 
 
 @pytest.mark.parametrize(
@@ -314,13 +314,13 @@ def test_the_classical_bound_is_called_what_it_is_here(saved: Saved, sd: float, 
         bounds={**saved.bounds, "naive": naive},
         residuals={**(saved.residuals or {}), "ar1": {"phi": 0.8}},
     )
-    section = time_constant(changed, Pictures())
+    section = time_constant(changed)
     assert section is not None
     (text,) = [p for p in section.paragraphs if "classical Cramér-Rao" in p]
     assert f"± {number(1.96e3 * sd, 2)} ms" in text and said in text
     assert "(φ = 0.80); with that in it the bound becomes ± 20 ms." in text
     white = replace(changed, residuals={**(saved.residuals or {}), "ar1": {"phi": 0.0}})
-    section = time_constant(white, Pictures())
+    section = time_constant(white)
     assert section is not None and "Neighbouring" not in " ".join(section.paragraphs)
 
 
@@ -363,7 +363,7 @@ def test_the_chain_is_drawn_for_any_rig(saved: Saved) -> None:
     found = words(campaign=without_flow, posterior=posterior, bounds=None)
     assert found[0] == ["line", "V = 60 mL"]
     two = replace(saved, posterior=posterior, bounds=None)
-    assert first_page(two, [], Pictures()).tau.startswith("τ[A] = 1.00 s, 95 % interval [0.90, ")
+    assert first_page(two, []).tau.startswith("τ[A] = 1.00 s, 95 % interval [0.90, ")
     lags = [{"q2.5": 0.05, "q50": 0.1, "q95": 0.14, "q97.5": 0.15}, {**row, "q95": 1.05}]
     undecided = {"parameters": {"V_mL": row, "tau_s": None}, "order": "undecided", "lags_s": lags,
                  "converged": True, "assignments": []}  # fmt: skip
@@ -395,7 +395,7 @@ def test_no_section_contradicts_the_gap(saved: Saved) -> None:
         (fitted, "All of them together do"),
     ):
         for each in (plain, blamed):
-            section = make(each, Pictures())
+            section = make(each)
             assert section is not None
             text = " ".join([section.answer, *section.paragraphs])
             assert (said in text) == (each is blamed), make
@@ -433,7 +433,7 @@ def test_intervals_of_tau_that_differ_are_set_side_by_side(
     gap = {"verdict": {"kind": "none", "effects": []}, "shrink": shrink, "hidden": {}}
 
     def said(saved: Saved) -> str:
-        section = time_constant(saved, Pictures())
+        section = time_constant(saved)
         assert section is not None
         return " ".join(p for p in section.paragraphs if p.startswith("The intervals of τ"))
 
@@ -453,7 +453,7 @@ def test_a_noise_law_whose_replicas_differ_is_not_called_adequate(
     right = {**saved.predictive, "failed": [], "status": "Alike."}
     wrong = {**right, "failed": ["spectrum"], "status": "Not alike: spectrum (p 3e-05)."}
     for predictive, begin in ((right, "Yes. "), (wrong, "Not fully. ")):
-        section = noise(replace(saved, residuals=residuals, predictive=predictive), Pictures())
+        section = noise(replace(saved, residuals=residuals, predictive=predictive))
         assert section is not None and section.answer.startswith(begin)
     assert "spectrum (p below 0.001)" in section.answer
 
@@ -768,17 +768,18 @@ def test_numbers_of_the_page_are_those_of_the_files(analysed: Path) -> None:
 
 
 def test_report_is_rebuilt_from_saved_results_alone(analysed: Path, tmp_path: Path) -> None:
-    page = build_report(analysed, tmp_path)
+    page = write_report(analysed, tmp_path).read_text(encoding="utf-8")
     assert page == (analysed / "report.html").read_text(encoding="utf-8")
-    names = {p.name for p in tmp_path.iterdir()}
+    names = {p.name for p in (tmp_path / "figures").iterdir()}
     assert names == {p.name for p in (analysed / "figures").iterdir()}
 
 
-def test_a_report_loads_nothing_that_computes(analysed: Path) -> None:
+def test_a_report_loads_nothing_that_computes(analysed: Path, tmp_path: Path) -> None:
     slow = ("numba", "scipy", "pandas", "arviz", "statsmodels", "corner")
     code = (
-        "import sys; from bayes_sensor.report import build_report; "
-        f"build_report({str(analysed)!r}); print([m for m in {slow} if m in sys.modules])"
+        "import sys; from bayes_sensor.report import write_report; "
+        f"write_report({str(analysed)!r}, {str(tmp_path)!r}); "
+        f"print([m for m in {slow} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
@@ -808,7 +809,7 @@ def test_a_result_that_cannot_be_read_is_named_and_nothing_is_lost(
 def test_parts_that_were_not_computed_are_left_out(analysed: Path, tmp_path: Path) -> None:
     for name in ("campaign.json", "run.json", "fit.json", "traces.npz"):
         shutil.copy(analysed / name, tmp_path / name)
-    text = build_report(tmp_path)
+    text = write_report(tmp_path, tmp_path).read_text(encoding="utf-8")
     assert "How well does the model fit" in text
     assert "time constant</h2>" not in text and 'id="delays"' not in text
 
@@ -829,7 +830,7 @@ def test_what_failed_stands_at_the_top(analysed: Path, tmp_path: Path) -> None:
     assert len(found) == 3
     assert "did not converge" in found[0] and "must not be quoted" in found[1]
     assert "fit rest on other data" in found[2]
-    page = build_report(tmp_path)
+    page = write_report(tmp_path, tmp_path).read_text(encoding="utf-8")
     assert page.index("must not be quoted") < page.index('class="big"')
 
 
@@ -951,11 +952,11 @@ def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, c
     if change == "more":
         told_more(record)
     (tmp_path / "gap.json").write_text(json.dumps(record))
-    text = build_report(tmp_path, tmp_path, choice=Choice(png=True))
+    text = write_report(tmp_path, tmp_path, Choice(png=True)).read_text(encoding="utf-8")
     assert Page(text).open == [] and HOSTILE not in text
     assert record["verdict"]["sentence"].removesuffix(".") in text
     for name in ("gap-where", "gap-which", "gap-hidden"):
-        assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
+        assert imread(tmp_path / "figures" / f"{name}.png")[..., :3].std() > 0.02
     if change == "more":
         for said in (
             "A fit to all other phases predicts the fall worst", "(95 % interval 30.0 to 60.0 ms)",
@@ -968,7 +969,7 @@ def test_the_gap_is_told_when_it_was_diagnosed(analysed: Path, tmp_path: Path, c
             "Shades and shares are what the explanations put there", "p-values are measured.",
         ):  # fmt: skip
             assert said in text, said
-        assert imread(tmp_path / "gap-residuals.png")[..., :3].std() > 0.02
+        assert imread(tmp_path / "figures" / "gap-residuals.png")[..., :3].std() > 0.02
     else:
         assert "By its size" not in text and "Without a frame a shade is no more" in text
     if change != "none":
@@ -987,7 +988,7 @@ def test_both_posteriors_of_tau_are_shown(analysed: Path, tmp_path: Path) -> Non
     record["with_effects"] = ["flow_switching"]
     record["parameters"]["tau_s"]["q50"] *= 1.5
     (tmp_path / "posterior.json").write_text(json.dumps(record))
-    text = build_report(tmp_path)
+    text = write_report(tmp_path, tmp_path).read_text(encoding="utf-8")
     assert "AR(1) noise; with flow switching in the model)" in text
     rows = re.search(r'<table id="table-both-posteriors">.*?</table>', text, re.DOTALL)
     assert rows is not None
@@ -1003,7 +1004,7 @@ def test_what_points_nowhere_is_left_out() -> None:
     found = "".join(piece for piece, _ in pieces(text, {"here": "Table 1"}))
     assert found == "A and B (Table 1)."
     with pytest.raises(ValueError, match="two parts"):
-        numbering([[Table("k", "c", [], [])] * 2])
+        numbering([Table("k", "c", [], [])] * 2)
 
 
 @pytest.mark.parametrize("pages", PAGES)
@@ -1263,7 +1264,7 @@ def test_page_is_seen_and_printed(analysed: Path, tmp_path: Path, whole: Report)
 
 def test_every_colour_has_its_counterpart_in_the_dark(analysed: Path) -> None:
     text = (analysed / "report.html").read_text(encoding="utf-8")
-    for colour in figures.COLOURS:
+    for colour in COLOURS:
         assert f"--f-{colour[1:]}:" in text
 
 
@@ -1294,7 +1295,7 @@ def test_what_the_noise_law_fails_in_stands_at_the_top_once_with_what_to_compare
         name: entry, "crlb_ar1": entry}}, posterior=None)  # fmt: skip
     quoted = [note for _, note in alerts(alone) if "ended early" in note]
     assert len(quoted) == 1 and doubt not in quoted[0]
-    section = noise(replace(saved, residuals=residuals), Pictures())
+    section = noise(replace(saved, residuals=residuals))
     assert section is not None and "Here these fail as well" in section.answer
     (table,) = [p for p in section.content if getattr(p, "key", "") == "noise-checks"]
     assert [row[-1] for row in table.rows] == ["passes"] * 4

@@ -21,7 +21,6 @@ from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.readers.campaign_file import Entry
 from bayes_sensor.posterior import SAMPLERS
 from bayes_sensor.report import Saved
-from bayes_sensor.report.parts import Pictures
 from tests.support.campaigns import small_problem
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -234,9 +233,9 @@ def test_the_section_of_the_page_answers(examples: dict[str, Any]) -> None:
         "methods": {name: {"parameters": {"V_mL": {"lo95": 0.0, "hi95": width}}}
                     for name, width in (("narrow", 1.0), ("wide", 2.0))}
     })  # fmt: skip
-    section = examples["widest"](saved, Pictures())
+    section = examples["widest"](saved)
     assert section.answer == "wide." and section.content[0].rows == [["narrow", 1.0], ["wide", 2.0]]
-    assert examples["widest"](Saved({}, {}), Pictures()) is None
+    assert examples["widest"](Saved({}, {})) is None
 
 
 def readme() -> str:

@@ -197,7 +197,7 @@ from bayes_sensor.report import Section, Table
 from bayes_sensor.report.sections import add_section
 
 
-def twice(saved, pictures):
+def twice(saved):
     found = (saved.bounds or {}).get("methods", {}).get("toy_bound")
     if found is None:
         return None
@@ -327,7 +327,7 @@ def test_an_effect_is_one_file(results: Path) -> None:
 
 def test_a_section_follows_one_that_is_there() -> None:
     with pytest.raises(KeyError, match="no section 'nowhere' in the report"):
-        add_section("toy", lambda saved, pictures: None, after="nowhere")
+        add_section("toy", lambda saved: None, after="nowhere")
 
 
 STAGE = '''

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bayes_sensor.report.parts import Pictures, Section
+from bayes_sensor.report.parts import Section
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.blind_check_section import blind_check
 from bayes_sensor.report.sections.coating_section import coating
@@ -18,7 +18,7 @@ from bayes_sensor.report.sections.next_section import measure_next
 from bayes_sensor.report.sections.noise_section import noise
 from bayes_sensor.report.sections.tau_section import time_constant
 
-Maker = Callable[[Saved, Pictures], Section | None]
+Maker = Callable[[Saved], Section | None]
 
 SECTIONS: dict[str, Maker] = {
     "measured": measured,
@@ -50,7 +50,7 @@ def add_section(key: str, make: Maker, after: str = "") -> None:
         SECTIONS[later] = SECTIONS.pop(later)
 
 
-def make_sections(saved: Saved, pictures: Pictures) -> list[Section]:
+def make_sections(saved: Saved) -> list[Section]:
     """Every section for which there are results."""
-    made = (make(saved, pictures) for make in SECTIONS.values())
+    made = (make(saved) for make in SECTIONS.values())
     return [section for section in made if section is not None]

@@ -9,7 +9,7 @@ from importlib import resources
 from typing import Any
 
 from bayes_sensor.figures import effect_words
-from bayes_sensor.report.parts import Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Picture, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import list_words
 
@@ -17,7 +17,7 @@ FEW = 200
 """campaigns below which the text calls intervals wide"""
 
 
-def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
+def blind_check(saved: Saved) -> Section | None:
     """Goals, score card and cases of a blind check."""
     card = saved.score
     if card is None:
@@ -41,25 +41,18 @@ def blind_check(saved: Saved, pictures: Pictures) -> Section | None:
         paragraphs.append(f"The diagnosis refused {refused} of them, which counts as wrong.")
     if card["n"] < FEW:
         paragraphs.append("The number of campaigns is small: read the intervals, not the shares.")
-    return Section(
-        "blind-check",
-        "How often is the diagnosis right",
-        answer,
-        paragraphs,
-        [
-            goals_table("blind-goals", "Goals and results.", card["goals"]),
-            pictures.add(
-                "blind-card",
-                partial(score_card, card),
-                "The score card, with 95 % intervals. Top: false alarms on faultless campaigns, "
-                "wrong names given with confidence, and the error of tau. Bottom, against the size "
-                "d: how often the right family is the likeliest, and how often something unlisted "
-                "is found, in blue where a verdict without a name counts if no data would tell; "
-                "and stated against true probabilities.",
-            ),
-            *_cases(saved.cases or []),
-        ],
+    picture = Picture(
+        "blind-card",
+        partial(score_card, card),
+        "The score card, with 95 % intervals. Top: false alarms on faultless campaigns, "
+        "wrong names given with confidence, and the error of tau. Bottom, against the size "
+        "d: how often the right family is the likeliest, and how often something unlisted "
+        "is found, in blue where a verdict without a name counts if no data would tell; "
+        "and stated against true probabilities.",
     )
+    goals = goals_table("blind-goals", "Goals and results.", card["goals"])
+    content: list[Part] = [goals, picture, _cases_table(saved.cases or [])]
+    return Section("blind-check", "How often is the diagnosis right", answer, paragraphs, content)
 
 
 def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> Table:
@@ -69,7 +62,7 @@ def goals_table(key: str, caption: str, goals: Sequence[Mapping[str, Any]]) -> T
         f"{caption} Intervals hold 95 %: Wilson's, the last from the bootstrap.",
         ["goal", "wanted", "reached", "95 % low", "95 % high", "met"],
         [
-            [goal["goal"], goal["wanted"] or "", *(goal[k] for k in ("reached", "lo95", "hi95")),
+            [goal["goal"], goal["wanted"] or "", goal["reached"], goal["lo95"], goal["hi95"],
              goal["met"]]
             for goal in goals
         ],
@@ -90,34 +83,25 @@ def published_goals() -> Table:
     )
 
 
-def _cases(rows: Sequence[Mapping[str, str]]) -> list[Table]:
-    if not rows:
-        return []
-    wrong = [i for i, row in enumerate(rows) if row["confident_wrong"] == "True"]
-    return [
-        Table(
-            "blind-cases",
-            "The cases: truth and verdict. Marked: a wrong name given with a probability above "
-            "0.9.",
-            ["case", "kind", "true cause", "noise", "d", "verdict", "said", "probability", "right"],
+def _cases_table(rows: Sequence[Mapping[str, str]]) -> Table:
+    def words(names: str) -> str:
+        return names.replace("+", ", ").replace("_", " ")
+
+    def value(text: str) -> float | None:
+        return float(text) if text else None
+
+    return Table(
+        "blind-cases",
+        "The cases: truth and verdict. Marked: a wrong name given with a probability above 0.9.",
+        ["case", "kind", "true cause", "noise", "d", "verdict", "said", "probability", "right"],
+        [
             [
-                [
-                    row["case"], row["kind"], _words(row["causes"]), _words(row["law"]),
-                    _number(row["d"]), row["verdict"],
-                    list_words([effect_words(n) for n in row["said"].split("+") if n]),
-                    _number(row["p_said"]), row["verdict_right"] == "True",
-                ]
-                for row in rows
-            ],
-            digits=3,
-            marked=wrong,
-        )
-    ]  # fmt: skip
-
-
-def _words(names: str) -> str:
-    return names.replace("+", ", ").replace("_", " ")
-
-
-def _number(text: str) -> float | None:
-    return float(text) if text else None
+                row["case"], row["kind"], words(row["causes"]), words(row["law"]), value(row["d"]),
+                row["verdict"], list_words([effect_words(n) for n in row["said"].split("+") if n]),
+                value(row["p_said"]), row["verdict_right"] == "True",
+            ]
+            for row in rows
+        ],
+        digits=3,
+        marked=[i for i, row in enumerate(rows) if row["confident_wrong"] == "True"],
+    )  # fmt: skip

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.report.gap_words import with_the_effect
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import interval, number, powers, sentence, with_spread
+from bayes_sensor.report.words import LAG_WORDS, interval, number, powers, sentence, with_spread
 
 TOLERANCE_WORDS = {
     "d_pdms": "diffusivity of PDMS",
@@ -24,7 +24,7 @@ def _at(row: Mapping[str, Any]) -> str:
     return "" if flow is None else f" at {flow:.3g} L/min"
 
 
-def coating(saved: Saved, pictures: Pictures) -> Section | None:
+def coating(saved: Saved) -> Section | None:
     """t10, t63, t90 of sensor and chain; the diffusivity that follows from tau."""
     record = saved.coating
     if record is None:
@@ -100,7 +100,7 @@ def _sensor_words(row: dict[str, Any]) -> str:
     """What a row of the sensor is called; where its lag is not known, which it would be."""
     if "sensor_is" not in row:
         return "sensor"
-    lag = {"faster": "shorter", "between": "middle", "slower": "longer"}[row["sensor_is"]]
+    lag = LAG_WORDS[row["sensor_is"]]
     return f"sensor, if it has the {lag} lag ({100 * row['probability']:.0f} %)"
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Picture, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import list_words, number
+from bayes_sensor.report.words import list_words, number, scaled
+
+MOST_SWITCHES = 6
+"""columns of switch times in a table"""
 
 
-def fitted(saved: Saved, pictures: Pictures) -> Section | None:
+def fitted(saved: Saved) -> Section | None:
     """Overlays, RMS residuals and least-squares values."""
     fit = saved.fit
     if fit is None:
@@ -31,41 +34,38 @@ def fitted(saved: Saved, pictures: Pictures) -> Section | None:
     )
     if not saved.missed and saved.gap is not None and saved.gap["verdict"]["kind"] != "none":
         answer += f" All of them together do{see('where')}."
-    content = [*_overlays(saved, pictures), *_tables(saved)]
-    return Section("fit", "How well does the model fit", answer, _remarks(saved), content)
+    content = [*_overlays(saved), *_tables(fit, saved)]
+    paragraphs = list(_remarks(fit, saved.published))
+    return Section("fit", "How well does the model fit", answer, paragraphs, content)
 
 
-def _remarks(saved: Saved) -> list[str]:
-    fit = saved.fit
-    assert fit is not None
-    said = []
+def _remarks(fit: Mapping[str, Any], with_published: bool) -> Iterator[str]:
     unseen = [name for name, value in _estimates(fit).items() if value is None]
     if unseen:
         words = list_words([figures.parameter_words(name)[0] for name in unseen])
-        said.append(
-            f"The best {words} {'sits' if len(unseen) == 1 else 'sit'} at the lower edge of "
-            f"{'its' if len(unseen) == 1 else 'their'} search range. The data do not exclude "
-            "smaller values, so no least-squares value is given; the posterior has upper limits."
+        sits, its = ("sits", "its") if len(unseen) == 1 else ("sit", "their")
+        yield (
+            f"The best {words} {sits} at the lower edge of {its} search range. The data do not "
+            "exclude smaller values, so no least-squares value is given; the posterior has upper "
+            "limits."
         )
     others = [figures.parameter_words(n)[0] for n in fit["at_bound"] if n not in unseen]
     if others:
-        said.append(
+        yield (
             f"The best value of {list_words(others)} sits on the edge of its search range: widen "
             "it ([fit] bounds in the settings), or do not use it."
         )
     lags = fit.get("n_lags")
     if lags:
-        said.append(
+        yield (
             f"Number of lags, chains of one to {len(lags['log_evidence'])} compared by their "
             f"evidence: {lags['sentence']}."
         )
     if not fit["swarms"].get("agree", True):
-        said.append("Independent swarms ended at different minima; the best one is shown.")
+        yield "Independent swarms ended at different minima; the best one is shown."
     elif (n := len(fit["swarms"].get("swarms", []))) > 1:
-        said.append(
-            f"{n} independent particle swarms ended, after refinement, at the same minimum."
-        )
-    if fit.get("euler") and saved.published:
+        yield f"{n} independent particle swarms ended, after refinement, at the same minimum."
+    if fit.get("euler") and with_published:
         change = fit["euler"]["difference"]
         moves = [
             f"{words.split()[-1] if name in _SYMBOLS else f'the {words}'} by "
@@ -73,11 +73,10 @@ def _remarks(saved: Saved) -> list[str]:
             for name, (words, unit, factor) in figures.shared_labels(change).items()
             if name not in unseen
         ]
-        said.append(
+        yield (
             "Solved by forward Euler instead of exactly, as in the published analysis, the same "
             f"fit moves {list_words(moves)}."
         )
-    return said
 
 
 _SYMBOLS = ("tau_s", "tau_v_s", "V_mL")
@@ -101,10 +100,10 @@ def _flow(trace: Any) -> str:
     return f"{60e-3 * trace.total_flow:.3g} L/min, {100 * trace.concentration:.3g} % test gas; "
 
 
-def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
+def _overlays(saved: Saved) -> list[Part]:
     shown, factor = saved.small_unit
     return [
-        pictures.add(
+        Picture(
             f"overlay_{k + 1}",
             partial(figures.overlay, trace),
             f"Experiment {trace.name}: {_flow(trace)}RMS {number(factor * trace.rms)} "
@@ -115,55 +114,44 @@ def _overlays(saved: Saved, pictures: Pictures) -> list[Part]:
     ]
 
 
-def _tables(saved: Saved) -> list[Part]:
-    assert saved.fit is not None
-    unit = saved.unit
-    p = saved.fit["parameters"]
-    kinds = ("phi", "sigma0_V", "sigma1_V")
-    noise = {name: p[name] for name in p if name.split("[")[0] in kinds}
-    rows: list[list[Any]] = []
-    for name, value in (_estimates(saved.fit) | noise).items():
-        symbol, unit_shown, scale = figures.parameter_words(name, unit)
-        rows.append([symbol, unit_shown, None if value is None else scale * value])
-    return [
-        Table(
-            "fit-shared",
-            "Least-squares values of the shared parameters, and the noise of the residuals. For "
-            "intervals see the next section.",
-            ["parameter", "unit", "value"],
-            rows,
-            digits=5,
-        ),
-        _of_experiments(saved, p["experiments"]),
-    ]
-
-
-MOST_SWITCHES = 6
-"""columns of switch times in a table"""
-
-
-def _of_experiments(saved: Saved, values: Mapping[str, Mapping[str, Any]]) -> Table:
-    """The values of each experiment: levels and switch times or delays."""
-    assert saved.fit is not None
+def _tables(fit: Mapping[str, Any], saved: Saved) -> Iterator[Part]:
+    """The shared values and the noise; then levels and switch times or delays by experiment."""
     unit, (shown, factor) = saved.unit, saved.small_unit
-    rms_of = saved.fit.get("rms_per_experiment_V", {})
-    kinds = dict.fromkeys(kind for own in values.values() for kind in own)
-    times = [kind for kind in kinds if kind.endswith("_s")]
-    shown_times = times[:MOST_SWITCHES]
+    parameters, experiments = fit["parameters"], fit["parameters"]["experiments"]
+    kinds = ("phi", "sigma0_V", "sigma1_V")
+    noise = {name: parameters[name] for name in parameters if name.split("[")[0] in kinds}
+    rows: list[list[Any]] = []
+    for name, value in (_estimates(fit) | noise).items():
+        symbol, unit_shown, scale = figures.parameter_words(name, unit)
+        rows.append([symbol, unit_shown, scaled(value, scale)])
+    yield Table(
+        "fit-shared",
+        "Least-squares values of the shared parameters, and the noise of the residuals. For "
+        "intervals see the next section.",
+        ["parameter", "unit", "value"],
+        rows,
+        digits=5,
+    )
+    rms_of = fit.get("rms_per_experiment_V", {})
+    times = list(
+        dict.fromkeys(kind for own in experiments.values() for kind in own if kind.endswith("_s"))
+    )
     title = "Least-squares values of each experiment"
     if len(times) > MOST_SWITCHES:
         title += f"; of {len(times)} switch times the first {MOST_SWITCHES} (all are in fit.json)"
+    shown_times = times[:MOST_SWITCHES]
     heads = [f"{figures.parameter_words(kind)[0]} (s)" for kind in shown_times]
-    return Table(
+    yield Table(
         "fit-experiments",
         f"{title}.",
         ["experiment", f"y₀ ({unit})", f"β ({unit})", *heads, f"RMS ({shown})"],
         [
             [
-                name, own.get("y0_V"), own.get("beta_V"), *(own.get(kind) for kind in shown_times),
-                factor * rms_of[name] if name in rms_of else None,
+                name,
+                *(own.get(kind) for kind in ("y0_V", "beta_V", *shown_times)),
+                scaled(rms_of.get(name), factor),
             ]
-            for name, own in values.items()
+            for name, own in experiments.items()
         ],
         digits=5,
-    )  # fmt: skip
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -10,8 +10,7 @@ from bayes_sensor import figures
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.gap_words import gap_sentence
-from bayes_sensor.report.headline import headline
-from bayes_sensor.report.parts import Part, Pictures, Section, see
+from bayes_sensor.report.parts import Part, Picture, Section, pointing, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.sections.blind_check_section import published_goals
 from bayes_sensor.report.sections.gap_tables import (
@@ -34,25 +33,24 @@ _SHADES = {
 """words for what is drawn, by the origin of the shares, if that is not the measurement"""
 
 
-def gap(saved: Saved, pictures: Pictures) -> Section | None:
+def gap(saved: Saved) -> Section | None:
     """Budget, where, which, how far, and what may hide."""
     record = saved.gap
     if record is None:
         return None
     budget, verdict = record["budget"], record["verdict"]
     shown, factor = saved.small_unit
-    head = headline(saved.posterior, saved.bounds, saved.settings)
-    is_limit = head is not None and head.is_limit
-    answer = gap_sentence(record, is_limit).removesuffix(".") + see("which") + "."
+    is_limit = saved.headline is not None and saved.headline.is_limit
+    answer = pointing(gap_sentence(record, is_limit), "which")
     paragraphs = [_size(budget, shown, factor)]
-    if verdict["kind"] != "none":
+    if verdict["kind"] == "effect":
         who = list_words([effect_words(name) for name in verdict["effects"]])
-        if verdict["kind"] == "effect":
-            paragraphs.append(
-                f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
-                f"{see('which')}."
-            )
-        paragraphs += _left_out(record)
+        paragraphs.append(
+            f"Named: {who}, with a probability of {number(verdict['probability'], 2)}"
+            f"{see('which')}."
+        )
+    if verdict["kind"] != "none":
+        paragraphs += _left_out(record.get("where_left_out_d") or {})
     paragraphs += shrink_sentences(record, shown, factor)
     paragraphs += _more(record)
     paragraphs += envelope_sentences(record, is_limit)
@@ -61,56 +59,50 @@ def gap(saved: Saved, pictures: Pictures) -> Section | None:
         "Causes outside the catalogue are the weak point of such a verdict: they may pass for "
         f"noise, or for a similar effect{see('gap-right')}."
     )
-    content: list[Part] = [
-        budget_table(record, shown, factor),
-        pictures.add(
-            "gap-where",
-            partial(figures.gap_where, record["where"], saved.unit),
-            "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
-            "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
-            f"largest of all cells. {_SHADES.get(record.get('where_shared_by', ''), _MEASURED)}",
-        ),
-        *_strips(record, pictures),
-        where_table(record, shown, factor),
-        pictures.add(
-            "gap-which",
-            partial(figures.gap_which, record),
-            "What explains it: probabilities of the explanations and of their families. Hatched: "
-            "no effect at all, and something that is not in the catalogue.",
-        ),
-        which_table(record),
-    ]
-    if record["hidden"]["effects"]:
-        of, lag = lag_of(record["hidden"])
-        tau = record["shrink"].get(f"{of}_before_s")
-        content += [
-            pictures.add(
-                "gap-hidden",
-                partial(figures.gap_hidden, record["hidden"], tau),
-                "What may hide: how visible each effect would be at its plausible strength, and "
-                f"what {lag} would be with it in the model. To the left of the dashed line this "
-                f"campaign cannot show it; dotted, {lag} with the strength left to the data; "
-                f"shaded, the envelope of {lag} over all that may hide.",
-            ),
-            hidden_table(record),
-        ]
-    content += other_tables(record)
-    if saved.published:
-        content.append(published_goals())
-    return Section("gap", "Where is the gap, and what causes it", answer, paragraphs, content)
+    title = "Where is the gap, and what causes it"
+    return Section("gap", title, answer, paragraphs, list(_content(record, saved)))
 
 
-def _strips(record: Mapping[str, Any], pictures: Pictures) -> list[Part]:
-    if not record.get("residuals"):
-        return []
-    return [
-        pictures.add(
+def _content(record: Mapping[str, Any], saved: Saved) -> Iterator[Part]:
+    shown, factor = saved.small_unit
+    yield budget_table(record, shown, factor)
+    yield Picture(
+        "gap-where",
+        partial(figures.gap_where, record["where"], saved.unit),
+        "Where the gap lies: excess over the noise floor by experiment and phase of the step. "
+        "Numbers: share of the whole; framed: p of the measured excess below 5 %, as the "
+        f"largest of all cells. {_SHADES.get(record.get('where_shared_by', ''), _MEASURED)}",
+    )
+    if record.get("residuals"):
+        yield Picture(
             "gap-residuals",
             partial(figures.gap_residuals, record["residuals"]),
             "Residuals in bins locked to the switches and whitened by the noise floor. Noise "
             "alone is within the grey strip of ± 2 in nineteen of twenty bins.",
         )
-    ]
+    yield where_table(record, shown, factor)
+    yield Picture(
+        "gap-which",
+        partial(figures.gap_which, record),
+        "What explains it: probabilities of the explanations and of their families. Hatched: "
+        "no effect at all, and something that is not in the catalogue.",
+    )
+    yield which_table(record)
+    if record["hidden"]["effects"]:
+        of, lag = lag_of(record["hidden"])
+        tau = record["shrink"].get(f"{of}_before_s")
+        yield Picture(
+            "gap-hidden",
+            partial(figures.gap_hidden, record["hidden"], tau),
+            "What may hide: how visible each effect would be at its plausible strength, and "
+            f"what {lag} would be with it in the model. To the left of the dashed line this "
+            f"campaign cannot show it; dotted, {lag} with the strength left to the data; "
+            f"shaded, the envelope of {lag} over all that may hide.",
+        )
+    yield hidden_table(record)
+    yield from other_tables(record)
+    if saved.published:
+        yield published_goals()
 
 
 def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
@@ -134,9 +126,8 @@ def _size(budget: Mapping[str, Any], shown: str, factor: float) -> str:
     )
 
 
-def _left_out(record: Mapping[str, Any]) -> list[str]:
+def _left_out(left_out: Mapping[str, float | None]) -> list[str]:
     """The phase that a fit to the others predicts worst."""
-    left_out = record.get("where_left_out_d") or {}
     found = {phase: d for phase, d in left_out.items() if d is not None}
     if not found:
         return []
@@ -147,21 +138,20 @@ def _left_out(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _more(record: Mapping[str, Any]) -> list[str]:
-    said = []
+def _more(record: Mapping[str, Any]) -> Iterator[str]:
+    """What is left with the named effects in the model, and how to tell pairs apart."""
     for row in record.get("rounds") or []:
         names = list_words([effect_words(name) for name in row["added"]])
-        said.append(
+        yield (
             f"With {names} in the model, d = {number(row['d_left'])} is left (p "
             f"{p_equals(row['p_left'])}){see('gap-rounds')}."
         )
     for row in record.get("separate") or []:
         if row["addition"]:
-            said.append(
+            yield (
                 f"To tell {effect_words(row['effect'])} from {effect_words(row['rival'])}: "
                 f"{row['addition']}{see('gap-separate')}."
             )
-    return said
 
 
 def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> list[str]:
@@ -172,27 +162,25 @@ def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> li
             "The gap is too small, or nothing was named, so no fraction of it can be said to close."
         ]
     of_mean = shrink.get("of_mean", True)
-    unknown = record["verdict"]["kind"] == "unlisted"
     effect = effect_words(shrink.get("explanation") or "the effect")
     what = "the excess" if of_mean else "its part of the noise"
+
+    def percent(*keys: str) -> str:
+        return " to ".join(f"{100 * shrink[key]:.0f}" for key in keys) + " %"
+
     said = (
         f"Once {effect} is {'in the model' if of_mean else 'taken off every record'}, {what} falls "
         f"from {number(factor * shrink['before_excess_rms_V'])} to "
         f"{number(factor * shrink['after_excess_rms_V'])} {shown}{'' if of_mean else ' RMS'}: "
-        f"{100 * shrink['fraction_closed']:.0f} % of the gap closes"
+        f"{percent('fraction_closed')} of the gap closes"
     )
     if shrink.get("fraction_closed_lo") is not None:
-        said += (
-            f" (95 % interval {100 * shrink['fraction_closed_lo']:.0f} to "
-            f"{100 * shrink['fraction_closed_hi']:.0f} %)"
-        )
+        said += f" (95 % interval {percent('fraction_closed_lo', 'fraction_closed_hi')})"
     if shrink.get("held_out_fraction_closed") is not None:
-        said += f", and {100 * shrink['held_out_fraction_closed']:.0f} % on data that were left out"
+        said += f", and {percent('held_out_fraction_closed')} on data that were left out"
         if shrink.get("held_out_fraction_closed_lo") is not None:
-            said += (
-                f" ({100 * shrink['held_out_fraction_closed_lo']:.0f} to "
-                f"{100 * shrink['held_out_fraction_closed_hi']:.0f} %)"
-            )
+            ends = ("held_out_fraction_closed_lo", "held_out_fraction_closed_hi")
+            said += f" ({percent(*ends)})"
     said += see("budget-table") + "."
     of, lag = lag_of(record["hidden"])
     before, after = shrink.get(f"{of}_before_s"), shrink.get(f"{of}_after_s")
@@ -204,13 +192,13 @@ def shrink_sentences(record: Mapping[str, Any], shown: str, factor: float) -> li
             said += f" (95 % interval {number(1e3 * low)} to {number(1e3 * high)} ms)"
         said += (
             f", by what was weighed here: the cause is not known, and {lag} may lie outside."
-            if unknown
+            if record["verdict"]["kind"] == "unlisted"
             else "."
         )
     if shrink.get("rival") and shrink.get("rival_fraction_closed") is not None:
         said += (
             f" The best rival outside the family, {effect_words(shrink['rival'])}, closes "
-            f"{100 * shrink['rival_fraction_closed']:.0f} %."
+            f"{percent('rival_fraction_closed')}."
         )
     return [
         said,

@@ -8,7 +8,7 @@ from typing import Any
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.parts import Shown, Table, p_value
-from bayes_sensor.report.words import list_words, ms, number, powers
+from bayes_sensor.report.words import list_words, ms, number, powers, scaled
 
 MOST_CELLS = 40
 FEW_CELLS = 8
@@ -31,51 +31,39 @@ UNSEEN = 3.0
 def budget_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
     """The budget and its remainder."""
     budget, shrink = record["budget"], record["shrink"]
+    with_effect = {} if shrink.get("withheld") else shrink
+    rival = with_effect.get("rival")
     of, lag = lag_of(record["hidden"])
-
-    def scaled(value: float | None) -> float | None:
-        return None if value is None else factor * value
-
-    rows: list[list[Any]] = [
-        [f"RMS, nominal simulation ({shown})", scaled(budget.get("nominal_rms_V"))],
-        [f"RMS, calibrated ({shown})", scaled(budget["calibrated_rms_V"])],
-        [f"RMS, noise floor ({shown})", scaled(budget["noise_floor_rms_V"])],
-        [f"excess over the floor ({shown})", scaled(budget["excess_rms_V"])],
-        ["excess, d (standard deviations)", budget["excess_d"]],
-        ["p-value", p_value(budget["p_value"])],
-        ["p-value of the size alone", p_value(budget.get("p_value_of_size"))],
-        ["p-value of the largest listed course", p_value(budget.get("p_value_of_form"))],
-        [
-            f"excess with the effect ({shown})",
-            None if shrink.get("withheld") else scaled(shrink.get("after_excess_rms_V")),
-        ],
-        ["fraction closed", shrink.get("fraction_closed")],
-        ["fraction closed, 95 % low", shrink.get("fraction_closed_lo")],
-        ["fraction closed, 95 % high", shrink.get("fraction_closed_hi")],
-        ["fraction closed, held out", shrink.get("held_out_fraction_closed")],
-        ["fraction closed, held out, 95 % low", shrink.get("held_out_fraction_closed_lo")],
-        ["fraction closed, held out, 95 % high", shrink.get("held_out_fraction_closed_hi")],
-        [f"{lag} without the effect (ms)", ms(shrink.get(f"{of}_before_s"))],
-    ]
-    if not shrink.get("withheld"):
-        rows += [
-            [f"{lag} with the effect (ms)", ms(shrink.get(f"{of}_after_s"))],
-            [f"{lag} with the effect, 95 % low (ms)", ms(shrink.get(f"{of}_after_lo_s"))],
-            [f"{lag} with the effect, 95 % high (ms)", ms(shrink.get(f"{of}_after_hi_s"))],
-            [
-                "best rival outside the family",
-                effect_words(shrink["rival"]) if shrink.get("rival") else None,
-            ],
-            ["fraction that the rival closes", shrink.get("rival_fraction_closed")],
-        ]
-    rows = [row for row in rows if row[1] is not None]
+    rows: dict[str, Any] = {
+        f"RMS, nominal simulation ({shown})": scaled(budget.get("nominal_rms_V"), factor),
+        f"RMS, calibrated ({shown})": scaled(budget["calibrated_rms_V"], factor),
+        f"RMS, noise floor ({shown})": scaled(budget["noise_floor_rms_V"], factor),
+        f"excess over the floor ({shown})": scaled(budget["excess_rms_V"], factor),
+        "excess, d (standard deviations)": budget["excess_d"],
+        "p-value": p_value(budget["p_value"]),
+        "p-value of the size alone": p_value(budget.get("p_value_of_size")),
+        "p-value of the largest listed course": p_value(budget.get("p_value_of_form")),
+        f"excess with the effect ({shown})": scaled(with_effect.get("after_excess_rms_V"), factor),
+        "fraction closed": shrink.get("fraction_closed"),
+        "fraction closed, 95 % low": shrink.get("fraction_closed_lo"),
+        "fraction closed, 95 % high": shrink.get("fraction_closed_hi"),
+        "fraction closed, held out": shrink.get("held_out_fraction_closed"),
+        "fraction closed, held out, 95 % low": shrink.get("held_out_fraction_closed_lo"),
+        "fraction closed, held out, 95 % high": shrink.get("held_out_fraction_closed_hi"),
+        f"{lag} without the effect (ms)": ms(shrink.get(f"{of}_before_s")),
+        f"{lag} with the effect (ms)": ms(with_effect.get(f"{of}_after_s")),
+        f"{lag} with the effect, 95 % low (ms)": ms(with_effect.get(f"{of}_after_lo_s")),
+        f"{lag} with the effect, 95 % high (ms)": ms(with_effect.get(f"{of}_after_hi_s")),
+        "best rival outside the family": effect_words(rival) if rival else None,
+        "fraction that the rival closes": with_effect.get("rival_fraction_closed"),
+    }
     return Table(
         "budget-table",
         "The budget in numbers. The excess is seen in averages over bins, where the noise is much "
         "smaller than in single samples: it is not the difference of the two RMS values. d "
         "contains all of it; the p-value compares it with noise alone.",
         ["quantity", "value"],
-        rows,
+        [[name, value] for name, value in rows.items() if value is not None],
         digits=3,
     )
 
@@ -103,8 +91,8 @@ def where_table(record: Mapping[str, Any], shown: str, factor: float) -> Table:
         [
             [
                 row["experiment"], row["phase"], row["t_start_s"], row["t_end_s"],
-                None if row["excess_rms_V"] is None else factor * row["excess_rms_V"],
-                None if row["share"] is None else 100.0 * row["share"], p_value(row["p_value"]),
+                scaled(row["excess_rms_V"], factor), scaled(row["share"], 100.0),
+                p_value(row["p_value"]),
             ]
             for row in rows
         ],
@@ -135,8 +123,7 @@ def which_table(record: Mapping[str, Any]) -> Table:
             [
                 effect_words(row["effect"]), effect_words(row["family"] or ""),
                 p_value(row["probability"]), row["d"], strength_words(row.get("strength"), units),
-                ms(row[f"{of}_s"]),
-                _percent(row["fraction_closed"]),
+                ms(row[f"{of}_s"]), _percent(row["fraction_closed"]),
                 list_words([effect_words(name) for name in row.get("confusable_with") or []], 5),
             ]
             for row in rows
@@ -228,56 +215,47 @@ def _hides(row: Mapping[str, Any]) -> str | None:
 def other_tables(record: Mapping[str, Any]) -> list[Table]:
     """Escalation, pairs that need another measurement, and tests at full rate."""
     units = record.get("strength_units", {})
-    made = []
-    if record.get("rounds"):
-        made.append(
-            Table(
-                "gap-rounds",
-                "The diagnosis repeated with the named effects in the model.",
-                ["in the model", "probability", "d left", "p left", "unlisted rest"],
+    return [
+        Table(
+            "gap-rounds",
+            "The diagnosis repeated with the named effects in the model.",
+            ["in the model", "probability", "d left", "p left", "unlisted rest"],
+            [
                 [
-                    [
-                        ", ".join(effect_words(name) for name in row["added"]), row["probability"],
-                        row["d_left"], p_value(row["p_left"]), bool(row["unlisted_left"]),
-                    ]
-                    for row in record["rounds"]
-                ],
-                digits=3,
-            )
-        )  # fmt: skip
-    if record.get("separate"):
-        made.append(
-            Table(
-                "gap-separate",
-                "Pairs that this campaign cannot tell apart, and the measurement that would. "
-                "Isolability: standard deviations between the two; three are needed.",
-                ["effect", "rival", "isolability", "measurement", "isolability with it"],
+                    ", ".join(effect_words(name) for name in row["added"]), row["probability"],
+                    row["d_left"], p_value(row["p_left"]), bool(row["unlisted_left"]),
+                ]
+                for row in record.get("rounds") or []
+            ],
+            digits=3,
+        ),
+        Table(
+            "gap-separate",
+            "Pairs that this campaign cannot tell apart, and the measurement that would. "
+            "Isolability: standard deviations between the two; three are needed.",
+            ["effect", "rival", "isolability", "measurement", "isolability with it"],
+            [
                 [
-                    [
-                        effect_words(row["effect"]), effect_words(row["rival"]), row["isolability"],
-                        row["addition"], row["isolability_with_it"],
-                    ]
-                    for row in record["separate"]
-                ],
-                digits=3,
-            )
-        )  # fmt: skip
-    if record.get("full_rate"):
-        made.append(
-            Table(
-                "gap-full-rate",
-                "Tests on every sample, for what averaging would hide. A positive logarithm of "
-                "the Bayes factor is evidence for it.",
-                ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
+                    effect_words(row["effect"]), effect_words(row["rival"]), row["isolability"],
+                    row["addition"], row["isolability_with_it"],
+                ]
+                for row in record.get("separate") or []
+            ],
+            digits=3,
+        ),
+        Table(
+            "gap-full-rate",
+            "Tests on every sample, for what averaging would hide. A positive logarithm of the "
+            "Bayes factor is evidence for it.",
+            ["effect", "log Bayes factor", "probability", "strength", "experiment", "d"],
+            [
                 [
-                    [
-                        effect_words(row["name"]), row["log_bayes_factor"],
-                        p_value(row["probability"]), strength_words(row.get("strength"), units),
-                        row.get("experiment") or "", row["d"],
-                    ]
-                    for row in record["full_rate"]
-                ],
-                digits=3,
-            )
-        )  # fmt: skip
-    return made
+                    effect_words(row["name"]), row["log_bayes_factor"],
+                    p_value(row["probability"]), strength_words(row.get("strength"), units),
+                    row.get("experiment") or "", row["d"],
+                ]
+                for row in record.get("full_rate") or []
+            ],
+            digits=3,
+        ),
+    ]  # fmt: skip

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.report.parts import Part, Picture, Section, Table, see
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import ms, number, sentence, typeset
 
@@ -25,7 +24,7 @@ ALIKE = 0.95
 """multiple correlation with the switch times above which both look almost the same"""
 
 
-def hardness(saved: Saved, pictures: Pictures) -> Section | None:
+def hardness(saved: Saved) -> Section | None:
     """Collinearity with the switch times, and the bound if they were known."""
     record = (saved.bounds or {}).get("what_makes_tau_hard")
     if not record:
@@ -54,8 +53,9 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
         )
     if record.get("status", "ok") != "ok":
         paragraphs.append(sentence(record["status"]))
+    weakest = sorted(record["weakest"].items(), key=lambda item: -abs(item[1]))
     content: list[Part] = [
-        pictures.add(
+        Picture(
             "tau-hard",
             partial(figures.tau_hard, record),
             "Why τ is hard: the drop of the likelihood against τ, and that of a Gaussian with the "
@@ -67,11 +67,7 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
             "The bound on τ (one standard deviation) if other quantities were known beforehand.",
             ["known beforehand", "sd of τ (ms)", "times the present one"],
             [
-                [
-                    KNOWN_WORDS.get(name, name),
-                    ms(sd),
-                    sd / now if sd is not None and now else None,
-                ]
+                [KNOWN_WORDS.get(name, name), ms(sd), sd / now if sd is not None and now else None]
                 for name, sd in known.items()
             ],
             digits=3,
@@ -81,16 +77,11 @@ def hardness(saved: Saved, pictures: Pictures) -> Section | None:
             "The direction with the least information, in parameters scaled to equal information, "
             "and the correlation of each with τ; the strongest entries.",
             ["parameter", "entry", "correlation with τ"],
-            _weakest(record),
+            [
+                [figures.parameter_words(name)[0], entry, record["correlation_with_tau"].get(name)]
+                for name, entry in weakest[:MOST_ROWS]
+            ],
             digits=3,
         ),
     ]
     return Section("hardness", "What makes it hard", answer, paragraphs, content)
-
-
-def _weakest(record: dict[str, Any]) -> list[list[Any]]:
-    entries = sorted(record["weakest"].items(), key=lambda item: -abs(item[1]))[:MOST_ROWS]
-    correlation = record["correlation_with_tau"]
-    return [
-        [figures.parameter_words(name)[0], entry, correlation.get(name)] for name, entry in entries
-    ]

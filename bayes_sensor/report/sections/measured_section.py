@@ -8,13 +8,13 @@ from typing import Any
 
 from bayes_sensor import figures
 from bayes_sensor.campaign import counted
-from bayes_sensor.figures.style import thousands
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, see
+from bayes_sensor.figures.labels import thousands
+from bayes_sensor.report.parts import Part, Picture, Section, Table, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import list_words
+from bayes_sensor.report.words import list_words, scaled, sentence
 
 
-def measured(saved: Saved, pictures: Pictures) -> Section | None:
+def measured(saved: Saved) -> Section | None:
     """The experiments, as they were understood."""
     campaign = saved.campaign
     rows = campaign["experiments"]
@@ -52,22 +52,21 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
             f"{factor * info['sd']:g} {unit}."
         )
     unit, (small, factor) = saved.unit, saved.small_unit
-    columns = [
-        "experiment", "samples used", "interval (ms)", "length (s)", "flow (L/min)",
-        "test gas (%)", "on (s)", "off (s)", f"baseline ({unit})", f"step ({unit})",
-        f"noise ({small})", "file",
-    ]  # fmt: skip
     table = Table(
         "experiments",
         "The experiments as understood. On and off are the commanded times; noise is that of the "
         "baseline.",
-        columns,
+        [
+            "experiment", "samples used", "interval (ms)", "length (s)", "flow (L/min)",
+            "test gas (%)", "on (s)", "off (s)", f"baseline ({unit})", f"step ({unit})",
+            f"noise ({small})", "file",
+        ],
         [
             [
                 e["experiment"], e["used"], 1e3 * e["interval_s"], e["duration_s"],
                 e["total_flow_L_min"], e["concentration_percent"], e["commanded_on_s"],
                 e["commanded_off_s"], e["baseline_V"], e["step_V"],
-                None if e["noise_V"] is None else factor * e["noise_V"], e["file"],
+                scaled(e["noise_V"], factor), e["file"],
             ]
             for e in rows
         ],
@@ -75,7 +74,7 @@ def measured(saved: Saved, pictures: Pictures) -> Section | None:
     content: list[Part] = [table]
     if saved.traces:
         content.append(
-            pictures.add(
+            Picture(
                 "responses",
                 partial(figures.responses, saved.traces),
                 "The recorded responses by test-gas concentration, one line a flow; dotted, the "
@@ -115,8 +114,7 @@ def _of_programmes(rows: Sequence[Mapping[str, Any]]) -> str:
         n = row["switches"]
         what = "a recorded channel is the input" if n == 0 else f"the input switches {n} times"
         said.append(f"in experiment '{row['experiment']}' {what}")
-    text = list_words(said)
-    return f"{text[:1].upper()}{text[1:]}."
+    return sentence(list_words(said))
 
 
 def _span(rows: Sequence[Mapping[str, Any]], key: str) -> str:

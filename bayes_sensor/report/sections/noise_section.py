@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
-from bayes_sensor.report.parts import Part, Pictures, Section, Table, p_value, see
+from bayes_sensor.report.parts import Part, Picture, Section, Table, p_value, pointing, see
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import p_equals, p_words, sentence, typeset
+from bayes_sensor.report.words import p_equals, p_words, scaled, sentence, typeset
 
 
-def noise(saved: Saved, pictures: Pictures) -> Section | None:
+def noise(saved: Saved) -> Section | None:
     """Residuals against the noise law, and data replicated from the posterior."""
     residuals = saved.residuals
     if residuals is None:
@@ -28,8 +28,7 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
     before, after = (residuals["durbin_watson"][k] for k in ("before", "after"))
     if saved.predictive is not None:
         status = re.sub(r"\(p \S+e-\S+\)", "(p below 0.001)", saved.predictive["status"])
-        answer += " " + sentence(typeset(status)).removesuffix(".")
-        answer += see("predictive-table") + "."
+        answer += " " + pointing(typeset(status), "predictive-table")
     paragraphs = [
         "Correlated residuals contain less information than their number suggests. The "
         f"Durbin-Watson statistic, 2 for independent noise, is {before:.2f} before and {after:.2f} "
@@ -42,69 +41,64 @@ def noise(saved: Saved, pictures: Pictures) -> Section | None:
             f"samples far enough apart to be independent, p {p_equals(test['p_value'])})"
             f"{see('spread')}."
         )
+    return Section(
+        "noise", "Is the noise model adequate", answer, paragraphs, list(_content(residuals, saved))
+    )
+
+
+def _content(residuals: Mapping[str, Any], saved: Saved) -> Iterator[Part]:
     rms = saved.fit["rms_V"] if saved.fit else _rms(residuals)
-    content: list[Part] = [
-        pictures.add(
+    yield from (
+        Picture(
             "autocorrelation",
             partial(figures.autocorrelation, residuals, saved.traces or []),
             "Autocorrelation of the residuals of all experiments in a row, with the curve of the "
             "fitted AR(1); below, the residuals themselves, shades alternating from experiment to "
             "experiment.",
         ),
-        pictures.add(
+        Picture(
             "spread",
             partial(figures.spread, residuals),
             "Standard deviation of the residuals in bins of concentration, with the fitted law.",
         ),
-        pictures.add(
+        Picture(
             "histogram",
             partial(figures.histogram, residuals, rms),
             f"Distribution of the residuals ({residuals['histogram']['note']}).",
         ),
-    ]
-    content += _checks(residuals)
-    content += _predictive(saved, pictures)
+    )
+    yield _checks_table(residuals.get("checks") or {})
+    if saved.predictive is not None:
+        yield from _predictive(saved.predictive, saved.unit)
     lb = residuals["ljung_box"]
-    content.append(
-        Table(
-            "ljung-box",
-            "Ljung-Box test for correlation up to a lag, before and after whitening by the AR(1). "
-            "With many samples a small p-value also comes from correlations too small to matter.",
-            ["lag (samples)", "Q before", "p before", "Q after", "p after"],
-            [
-                [lag, b, p_value(pb), a, p_value(pa)]
-                for lag, b, pb, a, pa in zip(
-                    lb["lags"],
-                    lb["before"]["statistic"],
-                    lb["before"]["p_value"],
-                    lb["after"]["statistic"],
-                    lb["after"]["p_value"],
-                    strict=True,
-                )
-            ],
-        )
+    tests = [lb[side][key] for side in ("before", "after") for key in ("statistic", "p_value")]
+    yield Table(
+        "ljung-box",
+        "Ljung-Box test for correlation up to a lag, before and after whitening by the AR(1). "
+        "With many samples a small p-value also comes from correlations too small to matter.",
+        ["lag (samples)", "Q before", "p before", "Q after", "p after"],
+        [
+            [lag, before, p_value(p_before), after, p_value(p_after)]
+            for lag, before, p_before, after, p_after in zip(lb["lags"], *tests, strict=True)
+        ],
     )
     unit, factor = saved.small_unit
-    content.append(
-        Table(
-            "noise-experiments",
-            "Residuals of each experiment.",
+    yield Table(
+        "noise-experiments",
+        "Residuals of each experiment.",
+        [
+            "experiment", f"RMS ({unit})", "lag-one correlation", f"sd, baseline ({unit})",
+            f"sd, plateau ({unit})",
+        ],
+        [
             [
-                "experiment", f"RMS ({unit})", "lag-one correlation",
-                f"sd, baseline ({unit})", f"sd, plateau ({unit})",
-            ],
-            [
-                [
-                    name, factor * e["rms_V"], e["lag_one"],
-                    *(None if e[k] is None else factor * e[k]
-                      for k in ("baseline_sd_V", "plateau_sd_V")),
-                ]
-                for name, e in residuals["experiments"].items()
-            ],
-            digits=3,
-        )
+                name, factor * e["rms_V"], e["lag_one"], scaled(e["baseline_sd_V"], factor),
+                scaled(e["plateau_sd_V"], factor),
+            ]
+            for name, e in residuals["experiments"].items()
+        ],
+        digits=3,
     )  # fmt: skip
-    return Section("noise", "Is the noise model adequate", answer, paragraphs, content)
 
 
 OF_THE_LAW = {
@@ -115,9 +109,8 @@ OF_THE_LAW = {
 }
 
 
-def _checks(residuals: Mapping[str, Any]) -> list[Part]:
+def _checks_table(checks: Mapping[str, Any]) -> Table:
     """The checks of the noise law, and their deviations."""
-    checks = residuals.get("checks") or {}
     rows = []
     for name, check in checks.items():
         words, place = OF_THE_LAW.get(name, (name, ""))
@@ -127,18 +120,14 @@ def _checks(residuals: Mapping[str, Any]) -> list[Part]:
         p = check.get("p_value")
         verdict = "passes" if check["adequate"] else "fails"
         rows.append([words, check.get("factor"), "" if p is None else p_words(p), verdict])
-    if not rows:
-        return []
-    return [
-        Table(
-            "noise-checks",
-            "Checks of the noise law: the measured value over the law's, where the difference is "
-            "largest. A check fails if the difference is significant and large enough to matter.",
-            ["check", "factor", "p-value", "verdict"],
-            rows,
-            digits=3,
-        )
-    ]
+    return Table(
+        "noise-checks",
+        "Checks of the noise law: the measured value over the law's, where the difference is "
+        "largest. A check fails if the difference is significant and large enough to matter.",
+        ["check", "factor", "p-value", "verdict"],
+        rows,
+        digits=3,
+    )
 
 
 CHECKS = {
@@ -150,19 +139,12 @@ CHECKS = {
 }
 
 
-def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
+def _predictive(record: Mapping[str, Any], unit: str) -> list[Part]:
     """Data replicated from the posterior, compared with the data."""
-    record = saved.predictive
-    if record is None:
-        return []
-    rows = [
-        [CHECKS.get(name, name), p_words(p), "fails" if name in record["failed"] else "passes"]
-        for name, p in record["p_values"].items()
-    ]
     return [
-        pictures.add(
+        Picture(
             "predictive",
-            partial(figures.predictive, record, saved.unit),
+            partial(figures.predictive, record, unit),
             "Comparison of the data with data drawn from the posterior. Bands: 95 % of "
             f"{record['n_draws']} replicates; points: the data. Last: probability of each sample "
             "under the forecast from its past; a right model gives a flat histogram.",
@@ -173,7 +155,14 @@ def _predictive(saved: Saved, pictures: Pictures) -> list[Part]:
             "model right. A check fails if that is below 1 % after allowing for their number "
             "(Holm).",
             ["check", "p-value", "verdict"],
-            rows,
+            [
+                [
+                    CHECKS.get(name, name),
+                    p_words(p),
+                    "fails" if name in record["failed"] else "passes",
+                ]
+                for name, p in record["p_values"].items()
+            ],
         ),
     ]
 
