@@ -18,8 +18,7 @@ response as a sum of exponentials, which :func:`reduced` shortens to a few of th
 ``sensor_diffusion`` effect.  :func:`infer_d_zif8` reads the diffusivity off a posterior of tau.
 
 The lateral extent of the coating is not published; :func:`find_outer_radius` finds the radius
-that reproduces the published 12.9 ms; :func:`outer_radius_table` shows how strongly the results
-depend on it.
+that reproduces the published 12.9 ms.
 """
 
 from bayes_sensor.coating.exponentials import ReducedResponse, modal, reduced
@@ -35,11 +34,9 @@ from bayes_sensor.coating.finite_elements import (
 from bayes_sensor.coating.inverse import (
     DEFAULT_TOLERANCES,
     DiffusivityPosterior,
-    RadiusRow,
     TauMap,
     find_outer_radius,
     infer_d_zif8,
-    outer_radius_table,
     tau_map,
 )
 from bayes_sensor.coating.layers import LEVEL_63, Coating
@@ -50,7 +47,6 @@ __all__ = [
     "Coating",
     "DiffusivityPosterior",
     "March",
-    "RadiusRow",
     "ReducedResponse",
     "Response",
     "System",
@@ -61,7 +57,6 @@ __all__ = [
     "infer_d_zif8",
     "march",
     "modal",
-    "outer_radius_table",
     "reduced",
     "solve",
     "tau_map",

@@ -44,42 +44,6 @@ def find_outer_radius(tau63: float = 12.9e-3, coating: Coating | None = None) ->
     return coating.ring_radius + math.exp(brentq(excess, nearest, farthest, xtol=1e-12))
 
 
-@dataclass(frozen=True)
-class RadiusRow:
-    """One line of :func:`outer_radius_table`."""
-
-    outer_radius: float
-    """m"""
-    tau63: tuple[float, ...]
-    """s, one per ZIF-8 diffusivity"""
-    t90: tuple[float, ...]
-    """s, one per ZIF-8 diffusivity"""
-
-
-def outer_radius_table(
-    outer_radii: Sequence[float] = (14e-6, 15e-6, 16e-6, 17e-6, 17.4e-6, 18e-6, 20e-6, math.inf),
-    d_zif8: Sequence[float] = (1.71e-10, 2.6e-11),
-    coating: Coating | None = None,
-) -> list[RadiusRow]:
-    """How the two published response times hang on the unpublished outer radius.
-
-    One row per radius (m), one column per ZIF-8 diffusivity (m2/s): the paper's literature value
-    and the lowered one.
-    """
-    coating = Coating() if coating is None else coating
-    rows = []
-    for outer in outer_radii:
-        responses = [modal(replace(coating, outer_radius=outer, d_zif8=d)) for d in d_zif8]
-        rows.append(
-            RadiusRow(
-                outer,
-                tuple(response.tau63 for response in responses),
-                tuple(response.time_to(0.9) for response in responses),
-            )
-        )
-    return rows
-
-
 DEFAULT_TOLERANCES: Mapping[str, float] = {
     "d_pdms": 0.2,
     "thickness_zif8": 0.1,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -93,15 +92,22 @@ class Coating:
             raise ValueError(
                 f"coating: geometry must be one of {', '.join(GEOMETRIES)}, got '{self.geometry}'"
             )
-        if self.outer_radius <= self.ring_radius:
+        self._check_probe()
+
+    def _check_probe(self) -> None:
+        """Raise ValueError where the probe lies outside the coating."""
+        outer, ring, top = self.outer_radius, self.ring_radius, self.thickness
+        if outer <= ring:
             raise ValueError(
-                f"coating: outer_radius must exceed ring_radius, but {self.outer_radius:g} m is "
-                f"not above {self.ring_radius:g} m; the probe would lie outside the coating"
+                f"outer_radius: expected more than ring_radius = {_in_um(ring)}, got "
+                f"{_in_um(outer)}, so that the probe lies outside the coating; write for example "
+                f'"{_in_um(1.74 * ring)}", or a smaller ring_radius'
             )
-        if self.probe_height >= self.thickness:
+        if self.probe_height >= top:
             raise ValueError(
-                f"coating: probe_height must lie below the top, but {self.probe_height:g} m is "
-                f"not below {self.thickness:g} m (thickness_zif8 + thickness_pdms)"
+                "probe_height: expected less than thickness_zif8 + thickness_pdms = "
+                f"{_in_um(top)}, got {_in_um(self.probe_height)}, so that the probe lies above the "
+                f'coating; write for example "{_in_um(0.026 * top)}", or a larger thickness'
             )
 
     @property
@@ -134,26 +140,7 @@ class Coating:
                 raise ValueError(
                     f"{name}: expected {wanted}, got '{text}'; write for example \"{kind.example}\""
                 )
-        _check_probe({**{name: getattr(self, name) for name in _KINDS}, **values})
         return replace(self, **values)
-
-
-def _check_probe(length: Mapping[str, float]) -> None:
-    """Raise ValueError, in micrometres, where the probe lies outside the coating."""
-    outer, ring = length["outer_radius"], length["ring_radius"]
-    if outer <= ring:
-        raise ValueError(
-            f"outer_radius: expected more than ring_radius = {_in_um(ring)}, got "
-            f"{_in_um(outer)}, so that the probe lies outside the coating; write for example "
-            f'"{_in_um(1.74 * ring)}", or a smaller ring_radius'
-        )
-    top = length["thickness_zif8"] + length["thickness_pdms"]
-    if length["probe_height"] >= top:
-        raise ValueError(
-            f"probe_height: expected less than thickness_zif8 + thickness_pdms = {_in_um(top)}, "
-            f"got {_in_um(length['probe_height'])}, so that the probe lies above the coating; "
-            f'write for example "{_in_um(0.026 * top)}", or a larger thickness'
-        )
 
 
 def _in_um(length: float) -> str:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.constants import elementary_charge
 from scipy.optimize import nnls
 
 from bayes_sensor.campaign import FloatArray
-
-if TYPE_CHECKING:
-    pass
 from bayes_sensor.coating.readout import TABLE_II_CONCENTRATION, Readout, check_positive
 
 

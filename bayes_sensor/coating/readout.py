@@ -24,16 +24,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import record_card
-
-if TYPE_CHECKING:
-    pass
 
 SHAPES = ("lorentzian", "all-pass")
 
@@ -246,20 +242,6 @@ class Readout:
         return (at_zero + self.ring.steepest_detuning) / (100 * self.cladding.redshift_per_percent)
 
 
-def excitation_wavelength(ring: Ring, side: str = "short") -> float:
-    """m, the wavelength of steepest slope on the short or the long side of the dip.
-
-    On the short side the voltage rises with a redshift, as it does in the paper.
-
-    >>> ring = Ring()
-    >>> round(1e12 * (ring.resonance - excitation_wavelength(ring)), 2)
-    22.72
-    """
-    if side not in ("short", "long"):
-        raise ValueError(f"excitation_wavelength: side must be 'short' or 'long', got '{side}'")
-    return ring.resonance + (-1 if side == "short" else 1) * ring.steepest_detuning
-
-
 # Table II of the paper: mean baseline of the seven experiments, and mean rise of the three at
 # the highest concentration (1.5 of 9 L/min), V.
 TABLE_II_BASELINE = (0.296 + 0.267 + 0.263 + 0.219 + 0.194 + 0.175 + 0.121) / 7
@@ -396,71 +378,3 @@ def curvature(readout: Readout, high: float = TABLE_II_CONCENTRATION) -> float:
     rise = readout.voltage(c) - readout.voltage(0.0)
     linear, quadratic = np.linalg.lstsq(np.column_stack((c, c**2)), rise)[0]
     return float(quadratic / (linear + quadratic * high) ** 2)
-
-
-@dataclass(frozen=True, eq=False)
-class CurvaturePrior:
-    """What the voltage levels alone say about the curvature, see :func:`curvature_prior`."""
-
-    mean: float
-    """1/V"""
-    sd: float
-    """1/V"""
-    draws: FloatArray
-    """(n,) 1/V"""
-    excluded: float
-    """share of drawn devices that cannot give the voltages seen or are too far from linear"""
-
-
-def curvature_prior(
-    baseline: float = TABLE_II_BASELINE,
-    rise: float = TABLE_II_RISE,
-    concentration: float = TABLE_II_CONCENTRATION,
-    *,
-    spread: float = 0.3,
-    extinction: tuple[float, float] = (10.0, 25.0),
-    most_nonlinear: float = 0.1,
-    n_draws: int = 2000,
-    seed: int | np.random.Generator = 0,
-) -> CurvaturePrior:
-    """The curvature of devices that show a given baseline and rise.
-
-    Q and redshift are log-normal around the defaults with relative standard deviation
-    ``spread``, the extinction uniform between two values in dB; for each the detuning and the
-    full scale follow from the voltages (:func:`matched_readout`), and from them
-    :func:`curvature`.  Devices that cannot show these voltages are left out, and so are those
-    with an end-point :func:`nonlinearity` above ``most_nonlinear``: the paper chose wavelength
-    and concentrations to stay in the linear region (Sec. II-C).
-
-    >>> prior = curvature_prior(n_draws=100)
-    >>> 0 < prior.sd < 0.2
-    True
-    """
-    rng = np.random.default_rng(seed)
-    log_sd = math.sqrt(math.log1p(spread**2))
-    ring, cladding = Ring(), Cladding()
-    found = []
-    for _ in range(n_draws):
-        q, shift = np.exp(log_sd * rng.standard_normal(2))
-        depth = rng.uniform(*extinction)
-        try:
-            readout = matched_readout(
-                baseline,
-                rise,
-                concentration,
-                ring=replace(ring, q=ring.q * q, extinction=depth),
-                cladding=replace(cladding, sensitivity=cladding.sensitivity * shift),
-            )
-        except ValueError:
-            continue
-        if nonlinearity(readout, 0.0, concentration) <= most_nonlinear:
-            found.append(curvature(readout, concentration))
-    if len(found) < 2:
-        raise ValueError(
-            f"curvature_prior: hardly any ring gives {baseline:.4g} V rising by {rise:.4g} V "
-            "nearly linearly; check that both are in V and the concentration is a fraction"
-        )
-    draws = np.array(found)
-    return CurvaturePrior(
-        float(draws.mean()), float(draws.std(ddof=1)), draws, 1 - len(found) / n_draws
-    )

@@ -30,12 +30,12 @@ from bayes_sensor.coating import (
     DiffusivityPosterior,
     infer_d_zif8,
     modal,
-    outer_radius_table,
     solve,
 )
 from bayes_sensor.coating.readout import matched_readout
 from bayes_sensor.figures import diffusion_figure, spectra_figure
-from bayes_sensor.figures.style import logarithmic, plain
+from bayes_sensor.figures.labels import plain
+from bayes_sensor.figures.style import logarithmic
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
@@ -104,6 +104,10 @@ def numbers(found: DiffusivityPosterior) -> dict[str, float]:
     }
 
 
+OUTER_RADII = (14e-6, 15e-6, 16e-6, 17e-6, 17.4e-6, 18e-6, 20e-6, math.inf)
+"""m; the extent of the coating is not published"""
+
+
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
@@ -157,14 +161,14 @@ def responses(solved: list[Any]) -> pd.DataFrame:
                 "n_dof": each.n_dof,
             }
         )
-    for row in outer_radius_table():
+    for outer_radius in OUTER_RADII:
         for each in solved:
-            coating = replace(each.coating, outer_radius=row.outer_radius)
+            coating = replace(each.coating, outer_radius=outer_radius)
             response = modal(coating)
             rows.append(
                 {
                     "route": "modes",
-                    "outer_radius_um": 1e6 * row.outer_radius,
+                    "outer_radius_um": 1e6 * outer_radius,
                     "d_zif8_m2_per_s": coating.d_zif8,
                     "t10_ms": 1e3 * response.time_to(0.1),
                     "tau63_ms": 1e3 * response.tau63,

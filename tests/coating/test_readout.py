@@ -16,8 +16,6 @@ from bayes_sensor.coating.readout import (
     Readout,
     Ring,
     curvature,
-    curvature_prior,
-    excitation_wavelength,
     linear_range,
     matched_readout,
     nonlinearity,
@@ -93,16 +91,12 @@ def test_slope_and_curvature_are_derivatives(ring):
 
 
 @pytest.mark.parametrize("ring", RINGS, ids=lambda ring: ring.shape)
-def test_excitation_wavelength_is_on_the_asked_side(ring):
-    short, long = (excitation_wavelength(ring, side) for side in ("short", "long"))
-    assert short < ring.resonance < long
-    for wavelength, sign in ((short, 1), (long, -1)):
+def test_the_voltage_has_no_curvature_where_the_flank_is_steepest(ring):
+    for sign in (1, -1):  # a redshift raises the voltage on the short side
+        wavelength = ring.resonance - sign * ring.steepest_detuning
         readout = Readout(ring, Cladding(), wavelength)
-        # a redshift raises the voltage on the short side, and V has no curvature there
         assert sign * float(readout.slope(0.0)) > 0
         assert float(readout.local_curvature(0.0)) == pytest.approx(0, abs=1e-6)
-    with pytest.raises(ValueError, match="'short' or 'long'"):
-        excitation_wavelength(ring, "left")
 
 
 # --- voltage against concentration
@@ -148,7 +142,7 @@ def steepest(ring: Ring, cladding: Cladding | None = None) -> Readout:
     """A readout that reaches the steepest point at a fraction of 0.2."""
     cladding = cladding or Cladding()
     offset = 20 * cladding.redshift_per_percent
-    return Readout(ring, cladding, excitation_wavelength(ring) + offset)
+    return Readout(ring, cladding, ring.resonance - ring.steepest_detuning + offset)
 
 
 def test_linear_range_of_a_lorentzian():
@@ -198,19 +192,6 @@ def test_curvature_over_a_small_range_is_the_local_one():
     at = replace(readout, wavelength=readout.wavelength - 10e-12)
     # the slope of the line through the ends differs from that at 0 in the first order
     assert curvature(at, 1e-4) == pytest.approx(float(at.local_curvature(0.0)), rel=0.01)
-
-
-def test_curvature_prior():
-    prior = curvature_prior(seed=1, n_draws=500)
-    again = curvature_prior(seed=1, n_draws=500)
-    assert (prior.draws == again.draws).all()
-    assert prior.mean == prior.draws.mean() and 0.01 < prior.sd < 0.2
-    assert prior.draws.min() < curvature(matched_readout()) < prior.draws.max()
-    assert 0 < prior.excluded < 0.9
-    # bends of at most most_nonlinear: kappa v_high/4 is the distance from the line, over the span
-    assert np.abs(prior.draws).max() * TABLE_II_RISE / 4 < 0.15
-    with pytest.raises(ValueError, match="hardly any ring"):
-        curvature_prior(1e-6, 2.0)
 
 
 # --- noise
