@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.compiled import forget_older
-from bayes_sensor.fit.first_estimates import Look
+from bayes_sensor.fit.first_estimates import Look, typical_rise
 from bayes_sensor.rig import partial_fractions as fractions
 from bayes_sensor.rig.partial_fractions import partial_fractions, quick_step_response, sorted_apart
 
@@ -44,8 +44,7 @@ def scatter(campaign: Campaign, points: Points) -> float:
 
 def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) -> Points:
     """Means over stretches: ``per_rise`` to a rise time around the switches, few elsewhere."""
-    rises = [look.rise for look in looks if look.rise is not None]
-    usual = float(np.median(rises)) if rises else 0.0
+    usual = typical_rise(looks, 0.0)
     parts = []
     for e, look in zip(campaign, looks):
         rise = look.rise or usual or 0.1 * (look.off - look.on)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 
@@ -43,6 +43,12 @@ class Look:
         if self.switches:
             return self.switches
         return ((self.on, self.start_by), (self.off, self.end_by))[: 1 + self.has_fall]
+
+
+def typical_rise(looks: Sequence[Look], otherwise: float) -> float:
+    """s, the median rise of records whose step is visible; ``otherwise`` where none is."""
+    rises = [look.rise for look in looks if look.rise is not None]
+    return float(np.median(rises)) if rises else otherwise
 
 
 def blocks(e: Experiment, start: float, end: float, n: int) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bayes_sensor.campaign import Experiment, FloatArray
-from bayes_sensor.fit.first_estimates import Look
+from bayes_sensor.fit.first_estimates import Look, typical_rise
 from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
@@ -113,9 +113,8 @@ def warn(
             "signal still moves when the step ends, so slow lags and the step's height cannot be "
             "told apart; record longer steps."
         )
-    rises = [look.rise for look in looks if look.rise is not None]
     lengths = [len(e.t) * e.interval for e in campaign]
-    usual = float(np.median(rises)) if rises else 0.1 * float(np.median(lengths))
+    usual = typical_rise(looks, 0.1 * float(np.median(lengths)))
     for k, e in enumerate(campaign):
         r, x = residuals[k]
         _, sigma0, sigma1 = vector[layout.noise[k]]

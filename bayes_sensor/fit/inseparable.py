@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.side_information import apart_squares, polynomial_slopes
+from bayes_sensor.fit.side_information import apart_squares, covariance_of, polynomial_slopes
 from bayes_sensor.fit.twin import AS_GOOD, Twin
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.problem import Problem
@@ -177,9 +177,7 @@ def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | Non
     information = expected_information(problem, vector)[np.ix_(free, free)]
     size = np.ones(len(free))
     size[:n] = 0.5 / vector[:n]
-    values, vectors = np.linalg.eigh(_unit(information * np.outer(size, size)))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300)) / size
-    cov = (vectors / np.maximum(values, 1e-12)) @ vectors.T * np.outer(scale, scale)
+    cov = covariance_of(information * np.outer(size, size))
     to_first = np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
     difference = to_first @ vector[:n] ** 2
     spread = to_first @ cov[:n, :n] @ to_first.T
@@ -193,12 +191,6 @@ def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | Non
         "speed",
         "caveat",
     )
-
-
-def _unit(matrix: FloatArray) -> FloatArray:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    found: FloatArray = matrix * np.outer(scale, scale)
-    return found
 
 
 def exchanged(twin: Twin) -> Inseparable:

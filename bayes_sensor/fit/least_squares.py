@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -12,9 +12,9 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.fit.block_averages import averages, scatter
+from bayes_sensor.fit.block_averages import Points, averages, scatter
 from bayes_sensor.fit.caveats import caveats, hiding_interval
-from bayes_sensor.fit.first_estimates import Look, first_look, initial_bounds
+from bayes_sensor.fit.first_estimates import Look, first_look, initial_bounds, typical_rise
 from bayes_sensor.fit.fit import Fit, Progress
 from bayes_sensor.fit.fit_warnings import at_bounds, bound_warnings, unseen_lags, warn
 from bayes_sensor.fit.fitted_noise import all_residuals, estimate_noise, mean_square
@@ -26,7 +26,6 @@ from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import SwarmProblem, limits
 from bayes_sensor.fit.swarm import particle_swarm
 from bayes_sensor.fit.twin import AS_GOOD, Twin, apart, other_orders
-from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.lags import Naming
@@ -39,10 +38,16 @@ GUESSES = (0.03, 0.1, 0.3, 1.0)
 
 
 @dataclass
-class Count:
-    """Evaluations so far, for the record."""
+class Counted:
+    """Refinements, with their evaluations counted for the record."""
 
-    n: int = field(default=0)
+    n: int = 0
+
+    def refine(self, *args: Any, **options: Any) -> Refined:
+        """What :func:`bayes_sensor.fit.refinement.refine` gives."""
+        found = refine(*args, **options)
+        self.n += found.n_evaluations
+        return found
 
 
 @one_thread
@@ -79,7 +84,7 @@ def fit_least_squares(
     tell = progress or (lambda fraction, word: None)
     looks = [first_look(e) for e in problem.campaign]
     box = initial_bounds(problem, looks, bounds)
-    count = Count()
+    count = Counted()
     exact = replace(problem, model=Cascade())
     plain = type(problem.model) is Cascade
     theta, success, record, check, other = _search(
@@ -207,7 +212,7 @@ def _search(
     particles: int,
     de: bool,
     tell: Progress,
-    count: Count,
+    count: Counted,
 ) -> tuple[FloatArray, bool, dict[str, Any], dict[str, Any] | None, Twin | None]:
     """The exact cascade's least squares: swarms, starts along the valley, mesh; and its twin."""
     campaign = problem.campaign
@@ -218,8 +223,7 @@ def _search(
     medium = averages(campaign, looks, 40, 150)
     swarm = SwarmProblem(problem, coarse)
     z_low, z_high = swarm.box(low, high)
-    rises = [look.rise for look in looks if look.rise is not None]
-    rise = float(np.median(rises)) if rises else 0.3 * float(high[0])
+    rise = typical_rise(looks, 0.3 * float(high[0]))
     starts, raw = [], []
     swarms, de = (swarms, de) if swarm.searchable else (0, False)
     for i, stream in enumerate(np.random.SeedSequence(seed).spawn(swarms)):
@@ -243,9 +247,7 @@ def _search(
     tell(0.5, "refinement")
 
     def refined_from(start: FloatArray) -> Refined:
-        found = refine(problem, medium, start, low, high, max_evaluations=40, tolerance=1e-7)
-        count.n += found.n_evaluations
-        return found
+        return count.refine(problem, medium, start, low, high, max_evaluations=40, tolerance=1e-7)
 
     refined = [refined_from(start) for start in starts]
     best = min(refined, key=lambda found: found.cost)
@@ -273,29 +275,53 @@ def _search(
     start = _swap(problem, best.theta, high)
     theta, success = _finish(problem, start, low, high, rise, noise, count)
     inside, inside_coarse = scatter(campaign, medium), scatter(campaign, coarse)
-    each = []
-    for i in range(swarms):
-        shared = _swap(problem, refined[i].theta, high)
-        each.append(
-            {
-                "cost_V2": raw[i] + inside_coarse,
-                "refined_cost_V2": refined[i].cost + inside,
-                **dict(zip(layout.shared_names, map(float, shared))),
-            }
-        )
-    # two ends count as one when their difference is small against the noise of one sample
-    agree = all(found.cost < best.cost + max(noise, 1e-6 * best.cost) for found in refined[:swarms])
+
+    def told(cost: float, end: Refined) -> dict[str, Any]:
+        shared = _swap(problem, end.theta, high)
+        return {
+            "cost_V2": cost + inside_coarse,
+            "refined_cost_V2": end.cost + inside,
+            **dict(zip(layout.shared_names, map(float, shared))),
+        }
+
+    def as_good(end: Refined) -> bool:
+        # two ends count as one when their difference is small against the noise of one sample
+        return bool(end.cost < best.cost + max(noise, 1e-6 * best.cost))
+
+    ends = refined[:swarms]
+    record = {"agree": all(map(as_good, ends)), "swarms": list(map(told, raw, ends))}
     check = None
     if de:
-        other = refined[swarms]
-        check = {
-            "cost_V2": float(result.fun) + inside_coarse,
-            "refined_cost_V2": other.cost + inside,
-            "agrees": bool(other.cost < best.cost + max(noise, 1e-6 * best.cost)),
-            "n_evaluations": int(result.nfev),
-            **dict(zip(layout.shared_names, map(float, _swap(problem, other.theta, high)))),
-        }
-    return theta, success, {"agree": agree, "swarms": each}, check, twin
+        end = refined[swarms]
+        check = told(float(result.fun), end)
+        check |= {"agrees": as_good(end), "n_evaluations": int(result.nfev)}
+    return theta, success, record, check, twin
+
+
+def _on_mesh(
+    problem: Problem,
+    theta: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    rise: float,
+    count: Counted,
+    arranged: Callable[[FloatArray], FloatArray] = lambda theta: theta,
+) -> tuple[Refined, Points]:
+    """Refinement on the exact mesh, which is rebuilt where the result leaves its box; the mesh.
+
+    ``arranged`` puts the parameters of a result in order.
+    """
+    layout = problem.layout
+    watched = [*range(layout.n_shared), *layout.all_switches]
+    for _ in range(4):
+        near_low, near_high = around(layout, theta, rise)
+        points = mesh_points(problem, theta, near_low, near_high)
+        found = count.refine(problem, points, theta, low, high)
+        theta = arranged(found.theta)
+        at = theta[watched]
+        if ((at >= near_low[watched]) & (at <= near_high[watched])).all():
+            break
+    return found._replace(theta=theta), points
 
 
 def _finish(
@@ -305,21 +331,14 @@ def _finish(
     high: FloatArray,
     rise: float,
     noise: float,
-    count: Count,
+    count: Counted,
 ) -> tuple[FloatArray, bool]:
-    """Refinement on the exact mesh; the mesh is rebuilt when the result leaves its box."""
+    """Refinement on the exact mesh, lags by size, with tau at its lower bound where it may be."""
     layout = problem.layout
-    success = False
-    for _ in range(4):
-        near_low, near_high = around(layout, problem.campaign, theta, rise)
-        points = mesh_points(problem, theta, near_low, near_high)
-        found = refine(problem, points, theta, low, high)
-        count.n += found.n_evaluations
-        theta, success = _swap(problem, found.theta, high), found.success
-        watched = [*range(layout.n_shared), *layout.all_switches]
-        inside = (theta[watched] >= near_low[watched]) & (theta[watched] <= near_high[watched])
-        if inside.all():
-            break
+    found, points = _on_mesh(
+        problem, theta, low, high, rise, count, lambda theta: _swap(problem, theta, high)
+    )
+    theta, success = found.theta, found.success
     # trf stays inside its box, so an estimate that belongs on the bound stops short of it
     if layout.one_sensor and low[0] < theta[0] < 0.03 * rise:
         held = theta.copy()
@@ -327,8 +346,7 @@ def _finish(
         held[0] = low[0]
         free = np.ones(len(theta), dtype=bool)
         free[0] = False
-        bound = refine(problem, points, np.clip(held, low, high), low, high, free)
-        count.n += bound.n_evaluations
+        bound = count.refine(problem, points, np.clip(held, low, high), low, high, free)
         if bound.cost <= found.cost + 1e-4 * noise:
             theta, success = bound.theta, bound.success
             theta[0] = low[0]
@@ -341,7 +359,7 @@ def refit(
     problem: Problem,
     theta: FloatArray,
     box: Mapping[str, tuple[float, float]] | None = None,
-    count: Count | None = None,
+    count: Counted | None = None,
 ) -> tuple[FloatArray, bool]:
     """Mean and extra parameters of any model from the cascade's fit, and whether that converged.
 
@@ -350,38 +368,29 @@ def refit(
     ends. The best is refined on the mesh, which is rebuilt around it.  ``box``: search bounds by
     flat name.
     """
-    layout, count = problem.layout, count or Count()
+    layout, count = problem.layout, count or Counted()
     if box is None:
         box = initial_bounds(problem, [first_look(e) for e in problem.campaign], None)
     low, high = limits(layout, box)
     theta = np.clip(theta[: layout.n_mean], low[: layout.n_mean], high[: layout.n_mean])
     rise = 2.2 * _other_lags(problem, theta)
-    middle, ends = _extra_starts(problem)
+    laws = [problem.priors[name].law if name in problem.priors else None for name in layout.extra]
+    middle = [0.0 if law is None else float(law.median()) for law in laws]
     starts = [np.concatenate([theta, middle])]
-    for i, values in enumerate(ends):
-        for value in values:
+    for i, law in enumerate(laws):
+        for share in () if law is None else (0.1, 0.9):
             start = starts[0].copy()
-            start[layout.n_mean + i] = value
+            start[layout.n_mean + i] = law.ppf(share)
             starts.append(start)
-    near_low, near_high = around(layout, problem.campaign, theta, rise)
-    points = mesh_points(problem, starts[0], near_low, near_high)
+    points = mesh_points(problem, starts[0], *around(layout, theta, rise))
     found = [
-        refine(problem, points, start, low, high, max_evaluations=15, tolerance=1e-5)
+        count.refine(problem, points, start, low, high, max_evaluations=15, tolerance=1e-5)
         for start in starts
     ]
     best = min(found, key=lambda each: each.cost)
-    count.n += sum(each.n_evaluations for each in found)
-    watched = [*range(layout.n_shared), *layout.all_switches]
-    for _ in range(4):
-        # the cascade is not assumed to be unchanged when tau and tau_v swap: an effect may tell
-        # the two apart
-        near_low, near_high = around(layout, problem.campaign, best.theta, rise)
-        points = mesh_points(problem, best.theta, near_low, near_high)
-        best = refine(problem, points, best.theta, low, high)
-        count.n += best.n_evaluations
-        at = best.theta[watched]
-        if (at >= near_low[watched]).all() and (at <= near_high[watched]).all():
-            break
+    # the cascade is not assumed to be unchanged when tau and tau_v swap: an effect may tell the two
+    # apart
+    best, _ = _on_mesh(problem, best.theta, low, high, rise, count)
     return best.theta, best.success
 
 
@@ -396,22 +405,12 @@ def _other_lags(problem: Problem, theta: FloatArray) -> float:
     return min(found)
 
 
-def _extra_starts(problem: Problem) -> tuple[FloatArray, list[list[float]]]:
-    """Middle of every extra parameter's prior, and values towards both of its ends."""
-    middle, ends = [], []
-    for name in problem.layout.extra:
-        law = problem.priors[name].law if name in problem.priors else None
-        middle.append(0.0 if law is None else float(law.median()))
-        ends.append([] if law is None else [float(law.ppf(0.1)), float(law.ppf(0.9))])
-    return np.array(middle), ends
-
-
 def _fit_euler(
     problem: Problem,
     theta: FloatArray,
     box: Mapping[str, tuple[float, float]],
     looks: list[Look],
-    count: Count,
+    count: Counted,
 ) -> tuple[FloatArray, bool]:
     """The fit by forward Euler, from the exact one.
 
@@ -428,26 +427,22 @@ def _fit_euler(
     least = 1.05 * interval * np.array([1.0, 1.0, flow])
     low[:3] = np.maximum(low[:3], least)
     high[:3] = np.maximum(high[:3], 2.0 * low[:3])
-    rises = [look.rise for look in looks if look.rise is not None]
-    rise = float(np.median(rises)) if rises else 0.3 * float(high[0])
-    near_low, near_high = around(layout, campaign, theta, rise)
-    points = mesh_points(problem, theta, near_low, near_high)
+    rise = typical_rise(looks, 0.3 * float(high[0]))
+    points = mesh_points(problem, theta, *around(layout, theta, rise))
     start = np.clip(theta, low, high)
-    found = refine(problem, points, start, low, high, max_evaluations=40)
+    found = count.refine(problem, points, start, low, high, max_evaluations=40)
     snapped = found.theta.copy()
     free = np.ones(len(snapped), dtype=bool)
     for k, e in enumerate(campaign):
-        for i in layout.local[k, 2:]:
-            if i >= 0:
-                index = round((snapped[i] - e.t[0]) / e.interval)
-                snapped[i] = e.t[min(max(index, 0), len(e.t) - 1)]
-                free[i] = False
+        for i in layout.switches(k):
+            index = round((snapped[i] - e.t[0]) / e.interval)
+            snapped[i] = e.t[min(max(index, 0), len(e.t) - 1)]
+            free[i] = False
     edges = ~free
     low[edges] = np.minimum(low[edges], snapped[edges] - interval)
     high[edges] = np.maximum(high[edges], snapped[edges] + interval)
     # tau and the switch times trade off: with those on the grid tau keeps what is left
-    final = refine(problem, points, snapped, low, high, free, max_evaluations=40)
-    count.n += found.n_evaluations + final.n_evaluations
+    final = count.refine(problem, points, snapped, low, high, free, max_evaluations=40)
     result = final.theta
     result[edges] = snapped[edges]
     if result[0] > result[1]:
@@ -461,16 +456,13 @@ def _compare_euler(
     box: Mapping[str, tuple[float, float]],
     looks: list[Look],
     rms: float,
-    count: Count,
+    count: Counted,
     naming: Naming,
 ) -> dict[str, Any]:
     other = replace(problem, model=Cascade("euler"))
     found, success = _fit_euler(other, theta, box, looks, count)
     vector = with_noise(problem.layout, found)
-    squares = 0.0
-    for k, e in enumerate(problem.campaign):
-        r = (e.values - mean_and_variance(other, vector, k)[0])[e.used]
-        squares += float(r @ r)
+    squares = sum(all_residuals(other, vector)[1])
     names = [*naming.names, *problem.layout.mean_names[problem.layout.n_shared :]]
     own = sqrt(squares / problem.campaign.n_samples)
     return {

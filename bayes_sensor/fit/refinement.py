@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.block_averages import Points, joined
 from bayes_sensor.fit.euler import euler_slopes
 from bayes_sensor.likelihood.mesh import Region, compress, mean_derivatives
@@ -272,9 +272,7 @@ def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: Floa
     return joined([(n.t, n.count, n.y) for n in nodes])
 
 
-def around(
-    layout: Layout, campaign: Campaign, theta: FloatArray, rise: float
-) -> tuple[FloatArray, FloatArray]:
+def around(layout: Layout, theta: FloatArray, rise: float) -> tuple[FloatArray, FloatArray]:
     """A box (n_mean,) about an estimate that its refinement should not leave."""
     n, shared, edges = layout.n_mean, layout.n_shared, layout.all_switches
     low, high = theta[:n] - 1.0, theta[:n] + 1.0

@@ -87,7 +87,7 @@ class Estimates:
         to_ours[:n_lags] = polynomial_slopes(squares / scale**2) @ to_squares
         to_ours[range(n_lags, n), rest] = 1.0
         with np.errstate(over="ignore"):  # where there is no information at all
-            cov = to_ours @ np.array(_inverse(information)[:n, :n]) @ to_ours.T
+            cov = to_ours @ covariance_of(information)[:n, :n] @ to_ours.T
         cov = np.nan_to_num(np.clip(cov, -1e200, 1e200))
         return cls(commuting, lags, others, scale, cov)
 
@@ -188,7 +188,7 @@ def polynomial_slopes(squares: FloatArray) -> FloatArray:
     return found
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def covariance_of(information: FloatArray) -> FloatArray:
     """Covariance (n, n) of an information matrix; directions without information have a huge
     variance."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))

@@ -36,39 +36,41 @@ class SwarmProblem:
     points: Points
 
     @cached_property
-    def _own(self) -> tuple[NDArray[np.int64], ...]:
-        """(n,) of each experiment: places in z of what moves its switches."""
+    def _moves(self) -> list[tuple[NDArray[np.int64], FloatArray]]:
+        """Of each experiment, by switch time or delay: (n,) the place in z of what moves it, and
+        (n,) s what is added to that."""
         found, known = [], {}
-        n = self.problem.layout.n_shared
-        for record, switching in zip(
-            self.problem.layout.records, self.problem.layout.switching, strict=True
+        n, layout = self.problem.layout.n_shared, self.problem.layout
+        for e, record, switching in zip(
+            self.problem.campaign, layout.records, layout.switching, strict=True
         ):
+            n_names = len(switching.names)
             if record not in known:
-                n_own = len(switching.names) if switching.is_pulse else 1
-                known[record] = np.arange(n, n + n_own)
+                n_own = n_names if switching.is_pulse else 1
+                known[record] = np.resize(np.arange(n, n + n_own), n_names)
                 n += n_own
-            found.append(known[record])
-        return tuple(found)
+            origin, done = np.zeros(n_names), e.commands
+            if done is not None and not done.recorded and done.delays == "free":
+                origin = done.times  # which move together here, by one delay
+            found.append((known[record], origin))
+        return found
 
     @cached_property
     def n(self) -> int:
         """How many coordinates there are."""
-        return 1 + int(max(places[-1] for places in self._own))
+        return 1 + int(max(places[-1] for places, _ in self._moves))
 
     @cached_property
     def _series(self) -> Series:
-        layout, campaign = self.problem.layout, self.problem.campaign
-        first, moves, offsets, heights = [0], [], [], []
-        for k, (switching, own) in enumerate(zip(layout.switching, self._own, strict=True)):
-            n = len(switching.heights)
-            moves.append(own[switching.places] if switching.is_pulse else np.repeat(own, n))
-            done = campaign.experiments[k].commands
-            offsets.append(np.zeros(n) if done is None else done.times[:n])
-            heights.append(np.array(switching.heights))
-            first.append(first[-1] + n)
+        switching = self.problem.layout.switching
+        moves, offsets = [], []
+        for each, (places, origin) in zip(switching, self._moves, strict=True):
+            moves.append(places[each.places])
+            offsets.append(origin[each.places] + each.offsets)
         return Series(
-            np.array(first), np.concatenate(moves), np.concatenate(offsets),
-            np.concatenate(heights), np.array([each.rest for each in layout.switching]),
+            np.cumsum([0, *map(len, moves)]), np.concatenate(moves), np.concatenate(offsets),
+            np.concatenate([each.heights for each in switching]),
+            np.array([each.rest for each in switching]),
         )  # fmt: skip
 
     @property
@@ -101,14 +103,8 @@ class SwarmProblem:
         layout = self.problem.layout
         theta = np.empty(layout.n_mean)
         theta[: layout.n_shared] = np.exp(z[: layout.n_shared])
-        for k, e in enumerate(self.problem.campaign):
-            switching, places, own = layout.switching[k], layout.switches(k), z[self._own[k]]
-            if switching.is_pulse:
-                theta[places] = own
-            elif any(switching.offsets) or e.commands is None or e.commands.recorded:
-                theta[places] = own[0]
-            else:
-                theta[places] = e.commands.times + own[0]
+        for k, (places, origin) in enumerate(self._moves):
+            theta[layout.switches(k)] = origin + z[places]
         linear = np.empty((len(self.problem.campaign), 2))
         if self.searchable:
             self._profiles(z[None], linear)
@@ -131,19 +127,13 @@ class SwarmProblem:
     def box(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Limits (n_z,) of the coordinates, from those of the mean's parameters."""
         layout = self.problem.layout
-        z_low, z_high = np.empty(self.n), np.empty(self.n)
+        z_low, z_high = np.full(self.n, -np.inf), np.full(self.n, np.inf)
         n = layout.n_shared
         z_low[:n] = np.log(np.maximum(low[:n], 1e-300))
         z_high[:n] = np.log(high[:n])
-        for k, e in enumerate(self.problem.campaign):
-            switching, places, own = layout.switching[k], layout.switches(k), self._own[k]
-            if switching.is_pulse:
-                z_low[own], z_high[own] = low[places], high[places]
-            elif any(switching.offsets) or e.commands is None or e.commands.recorded:
-                z_low[own], z_high[own] = low[places].max(), high[places].min()
-            else:
-                z_low[own] = (low[places] - e.commands.times).max()
-                z_high[own] = (high[places] - e.commands.times).min()
+        for k, (places, origin) in enumerate(self._moves):
+            np.maximum.at(z_low, places, low[layout.switches(k)] - origin)
+            np.minimum.at(z_high, places, high[layout.switches(k)] - origin)
         return z_low, z_high
 
     def guess(
@@ -160,11 +150,12 @@ class SwarmProblem:
             share = 0.03 if i == 0 and not alone and layout.one_sensor else 1.0 / 3.0
             z[i] = log(share * rise * (flow if name.startswith("V_") else 1.0))
         for k, look in enumerate(looks):
-            switching, own, half = layout.switching[k], self._own[k], 0.5 * (look.rise or rise)
+            switching, (places, _) = layout.switching[k], self._moves[k]
+            half = 0.5 * (look.rise or rise)
             if switching.is_pulse:
-                z[own] = [look.start_by - half, look.end_by - half][: len(own)]
+                z[places] = [look.start_by - half, look.end_by - half][: len(places)]
             elif switching.recorded is not None:
-                z[own] = 0.0
+                z[places] = 0.0
             else:
-                z[own] = max(look.start_by - half - look.on, 0.0)
+                z[places] = max(look.start_by - half - look.on, 0.0)
         return self.theta(np.clip(z, z_low, z_high))

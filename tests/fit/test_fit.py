@@ -159,9 +159,9 @@ def test_profile_solves_y0_and_beta_exactly(measured):
 def test_relaxed_euler_is_euler_on_the_grid():
     h = 0.01
     t = h * np.arange(1500)
-    x = np.empty_like(t)
     # switches between samples act at the next one, with n whole from there
-    euler_relaxed(t, h, np.array([0.8, 0.4, 0.05]), t[200], t[900], x)
+    taus, times = np.array([0.8, 0.4, 0.05]), t[[200, 900]]
+    x = euler_relaxed(t, h, taus, times, np.array([1.0, -1.0]))
     assert np.abs(x - euler_response(t, h, [0.8, 0.4, 0.05], t[200], t[900])).max() < 1e-12
 
 

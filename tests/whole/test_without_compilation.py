@@ -32,7 +32,6 @@ PARTS = {
     "model": """
 from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities, euler_response
 from bayes_sensor.rig.chain import impulse_response, step_response
-from bayes_sensor.fit.euler import euler_relaxed
 t = np.concatenate([np.linspace(0.0, 3.0, 40), [60.0]])
 for taus in ([0.8, 0.4, 0.05], [0.5, 0.5, 0.5], [0.5, 0.45, 0.4], [0.3, 0.3 + 1e-9, 0.02]):
     say(cascade_response(t, taus, 0.3, 1.1), cascade_sensitivities(t, taus, 0.3, 1.1))
@@ -53,9 +52,6 @@ for taus in ([0.8], [0.5, 0.5], [0.3, 0.3 + 1e-9, 0.02, 2.0]):
             later = recorded.later(delay)
             say(chain_response(grid, taus, later.drive, interval))
             say(lag_sensitivities(grid, taus, later.derivative, interval))
-relaxed = np.empty_like(t)
-euler_relaxed(t, 0.01, np.array([0.8, 0.4, 0.05]), 0.3, 1.1, relaxed)
-say(relaxed)
 """,
     "likelihood": """
 from bayes_sensor.likelihood.density import log_likelihood
