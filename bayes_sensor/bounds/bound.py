@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import record_card
 from bayes_sensor.io.json_files import plain
-
-if TYPE_CHECKING:
-    pass
 
 LEVELS: dict[str, float] = {"68": 0.68, "95": 0.95, "997": 0.997}
 """confidence levels by the suffix of their JSON keys"""
@@ -59,6 +58,12 @@ class Bound:
         ):
             if array.shape != shape:
                 raise ValueError(f"{self.method}: {label} has shape {array.shape}, not {shape}")
+
+    @classmethod
+    def without_values(cls, names: list[str], estimate: FloatArray, reason: str) -> Bound:
+        """One with estimates (n,) alone; ``reason``: a sentence, why there are no intervals."""
+        nothing = np.full((len(names), len(LEVELS)), np.nan)
+        return cls(names, estimate, nothing[:, 0], nothing, nothing, reason)
 
     def interval(self, name: str, level: str | float = "95") -> tuple[float, float]:
         """Lower and upper end for one parameter at ``level``: "68", "95", "997" or .68, .95, .997.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.bounds_table import Bounds
 from bayes_sensor.bounds.context import Evidence, Progress, check_data
 from bayes_sensor.bounds.methods import METHODS, BoundMethod
@@ -86,15 +86,6 @@ def doubts(evidence: Evidence, method: BoundMethod) -> list[str]:
 
 def _record(name: str, method: Method) -> BoundMethod:
     return method if isinstance(method, BoundMethod) else BoundMethod(name, name, "", method)
-
-
-def silent(evidence: Evidence, name: str, reason: str) -> Bound:
-    """The bound of a method that gives no value."""
-    names = evidence.problem.layout.mean_names + list(evidence.problem.layout.extra)
-    estimate = evidence.theta[[evidence.problem.layout.index(n) for n in names]]
-    empty = np.full((len(names), len(LEVELS)), np.nan)
-    return Bound(names, estimate, empty[:, 0], empty, empty, reason, {}, name,
-                 "that the data can tell")  # fmt: skip
 
 
 def with_remark(bound: Bound, remark: str) -> Bound:
@@ -209,12 +200,16 @@ def compare_bounds(
         report(0.0, name)
         start = time.perf_counter()
         mute = why_mute(evidence, method)
-        bound = silent(evidence, name, mute) if mute else method(evidence)
-        if not mute and not method.needs_posterior:
-            bound = with_words(bound, naming)
-            bound = without_roles(bound, fit.twin) if fit.twin else bound
-        for doubt in [] if mute else doubts(evidence, method):
-            bound = with_remark(bound, doubt)
+        if mute:
+            bound = Bound.without_values(*evidence.of_mean(evidence.theta), mute)
+            bound = replace(bound, method=name, assumes="that the data can tell")
+        else:
+            bound = method(evidence)
+            if not method.needs_posterior:
+                bound = with_words(bound, naming)
+                bound = without_roles(bound, fit.twin) if fit.twin else bound
+            for doubt in doubts(evidence, method):
+                bound = with_remark(bound, doubt)
         bounds[name] = with_names(bound, naming)
         seconds[name] = time.perf_counter() - start
         done += 1

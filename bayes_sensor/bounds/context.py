@@ -124,14 +124,10 @@ class Evidence:
         return bool(self.coloured_maximum.psi[0] <= 1.001 * floor)
 
     @cached_property
-    def _white(self) -> tuple[Surface, Maximum]:
-        region = region_of(self.problem, self.coloured, self.theta)
-        return white_surface(self.problem, self.theta, self.fit.rms, region)
-
-    @property
     def white(self) -> Surface:
         """Least squares as a likelihood."""
-        return self._white[0]
+        region = region_of(self.problem, self.coloured, self.theta)
+        return white_surface(self.problem, self.theta, self.fit.rms, region)
 
     @cached_property
     def psi_white(self) -> FloatArray:
@@ -155,15 +151,21 @@ class Evidence:
         psi[0] = self.coloured.expansion(point)[0]
         return psi
 
+    def of_mean(self, theta: FloatArray) -> tuple[list[str], FloatArray]:
+        """Flat names of all parameters but the noise's, and their values (n,) in ``theta``."""
+        layout = self.problem.layout
+        names = [*layout.mean_names, *layout.extra]
+        return names, theta[[layout.index(name) for name in names]]
+
     @property
     def mean_names(self) -> list[str]:
         """Flat names of all parameters but the noise's."""
-        return self.white.mean_names
+        return self.of_mean(self.theta)[0]
 
     @cached_property
     def estimate(self) -> FloatArray:
         """(n,) the fit's estimates of ``mean_names``."""
-        return self.theta[[self.problem.layout.index(name) for name in self.mean_names]]
+        return self.of_mean(self.theta)[1]
 
     @cached_property
     def at_bound(self) -> bool:

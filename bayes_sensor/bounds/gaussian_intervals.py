@@ -138,29 +138,27 @@ def gaussian_bound(
     """
     n = len(names)
     kinds = [name.split("[")[0] for name in names]
-    if names[0] != "tau_s":  # several sensors: psi holds their lags themselves
-        return _plain_bound(names, estimate, cov_psi, factor, identified, status, details)
     identified = np.ones(n, dtype=bool) if identified is None else identified
     sentences = [status] if status else []
-    tau, q = float(estimate[0]), float(estimate[0]) ** 2
-    sd_q = float(np.sqrt(cov_psi[0, 0]))
-    switches = [i for i, kind in enumerate(kinds) if is_switch_time(kind)]
     sd = np.sqrt(np.diag(cov_psi))
-    low, high = np.full((n, len(LEVELS)), np.nan), np.full((n, len(LEVELS)), np.nan)
     # (n, n_levels)
     z = np.stack([np.broadcast_to(factor(level), n) for level in LEVELS.values()], axis=1)
-    sd_tau = np.nan if at_bound or sd_q > 2.0 * tau**2 else sd_q / (2.0 * tau)
-    far = plain and bool(tau > FAR * sd_tau)  # False for nan
-    slope = 0.0 if np.isnan(sd_tau) else 1.0 / (2.0 * tau)
-    if np.isnan(sd_tau):
-        sd[[0, *switches]] = np.nan
-    else:
-        sd[0] = sd_tau
-        for i in switches:
-            variance = cov_psi[i, i] - 2.0 * slope * cov_psi[0, i] + slope**2 * cov_psi[0, 0]
-            sd[i] = np.sqrt(max(variance, 0.0))
-    low[:], high[:] = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
-    if not far and identified[0]:
+    in_square = False
+    if names[0] == "tau_s":  # of several sensors psi holds the lags themselves
+        tau, q, sd_q = float(estimate[0]), float(estimate[0]) ** 2, float(sd[0])
+        switches = [i for i, kind in enumerate(kinds) if is_switch_time(kind)]
+        if at_bound or sd_q > 2.0 * tau**2:
+            sd[[0, *switches]] = np.nan
+        else:
+            slope = 1.0 / (2.0 * tau)
+            for i in switches:
+                variance = cov_psi[i, i] - 2.0 * slope * cov_psi[0, i] + slope**2 * cov_psi[0, 0]
+                sd[i] = np.sqrt(max(variance, 0.0))
+            sd[0] = sd_q / (2.0 * tau)
+        far = plain and tau > FAR * sd[0]  # False for nan
+        in_square = bool(identified[0]) and not far
+    low, high = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
+    if in_square:
         square_low, square_high = np.maximum(q - z[0] * sd_q, 0.0), q + z[0] * sd_q
         below = above = np.ones(len(LEVELS))
         if along_tau is not None and np.isfinite(along_tau[1]).all():
@@ -173,7 +171,7 @@ def gaussian_bound(
             low[i], high[i] = switch_quantiles(
                 estimate[i] + tau, q, sd_q, cov_psi[i, i], cov_psi[0, i], z[i], below, above
             )
-        if np.isnan(sd_tau):
+        if np.isnan(sd[0]):
             where = "at its lower bound" if at_bound else "within a spread of zero"
             sentences.append(
                 f"tau's estimate is {where}: its interval is an upper limit, taken in tau^2"
@@ -185,38 +183,9 @@ def gaussian_bound(
         sd[lost], low[lost], high[lost] = np.nan, np.nan, np.nan
         missing = [name for name, gone in zip(names, lost) if gone]
         sentences.append(f"the data do not identify {', '.join(missing)}")
-    low, high = np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
-    sd = np.where(np.isfinite(sd), sd, np.nan)
-    for i, kind in enumerate(kinds):
-        if kind.startswith(("tau_", "V_")):
-            low[i] = np.maximum(low[i], 0.0)
-    return Bound(
-        list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
-        details or {},
-    )  # fmt: skip
-
-
-def _plain_bound(
-    names: list[str],
-    estimate: FloatArray,
-    cov: FloatArray,
-    factor: Callable[[float], float | FloatArray],
-    identified: np.ndarray | None,
-    status: str,
-    details: dict[str, Any] | None,
-) -> Bound:
-    """Estimate +- z sd of every parameter; lags and volumes cut at zero."""
-    n = len(names)
-    identified = np.ones(n, dtype=bool) if identified is None else identified
-    z = np.stack([np.broadcast_to(factor(level), n) for level in LEVELS.values()], axis=1)
-    sd = np.where(identified & np.isfinite(np.diag(cov)), np.sqrt(np.diag(cov)), np.nan)
-    low, high = estimate[:, None] - z * sd[:, None], estimate[:, None] + z * sd[:, None]
-    positive = [name.startswith(("tau_", "V_")) for name in names]
+    sd, low, high = (np.where(np.isfinite(values), values, np.nan) for values in (sd, low, high))
+    positive = [kind.startswith(("tau_", "V_")) for kind in kinds]
     low[positive] = np.maximum(low[positive], 0.0)
-    lost = [name for name, known in zip(names, identified, strict=True) if not known]
-    sentences = [status] if status else []
-    if lost:
-        sentences.append(f"the data do not identify {', '.join(lost)}")
     return Bound(
         list(names), np.array(estimate, dtype=float), sd, low, high, "; ".join(sentences) or "ok",
         details or {},

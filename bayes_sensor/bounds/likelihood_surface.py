@@ -104,14 +104,6 @@ def maximise(
     return Maximum(psi, float(value), free, converged)
 
 
-APART = 1.1e-3
-"""relative distance of time constants that leaves the mesh its analytic gradient, with room"""
-
-
-def _gap(tau: float, others: list[float]) -> float:
-    return min(abs(other - tau) / max(other, tau) for other in others)
-
-
 @dataclass(frozen=True, eq=False)
 class Surface:
     """The log-likelihood of a compressed problem in psi."""
@@ -186,15 +178,7 @@ class Surface:
         return self._at(theta_of(psi, *self._places))
 
     def _at(self, theta: FloatArray) -> tuple[float, FloatArray]:
-        aside = self._aside(theta)
-        if aside is None:
-            value, gradient = self.compressed.value_and_gradient(theta)
-        else:
-            # from neighbours on both sides; the error is of fourth order in the value
-            up, g_up = self.compressed.value_and_gradient(theta + aside)
-            down, g_down = self.compressed.value_and_gradient(theta - aside)
-            value = 0.5 * (up + down) - 0.25 * float((g_up - g_down) @ aside)
-            gradient = 0.5 * (g_up + g_down)
+        value, gradient = self.compressed.value_and_gradient(theta)
         return value, gradient_by_psi(theta, gradient, *self._places[1:])
 
     @cached_property
@@ -202,34 +186,6 @@ class Surface:
         """Arguments of :func:`theta_of` beside psi."""
         c = self.coordinates
         return c.theta(np.zeros(len(c.names))), c.free, c.squared, c.switches, c.phi, c.log_sigmas
-
-    @cached_property
-    def _flows(self) -> list[float]:
-        return sorted({e.total_flow for e in self.problem.campaign})
-
-    def _aside(self, theta: FloatArray) -> FloatArray | None:
-        """How far tau_v or tau must move, up and down, where time constants coincide; else None.
-
-        There the published rig's mesh has no analytic gradient.
-        """
-        if not self.problem.layout.is_published:
-            return None
-        tau, tau_v, volume = theta[:3].tolist()
-        manifold = [volume / flow for flow in self._flows]
-        if _gap(tau_v, manifold) > APART and _gap(tau, [tau_v, *manifold]) > APART:
-            return None
-        aside = np.zeros(len(theta))
-        for i in (1, 0):
-            for j in range(40):
-                move = 1.2 * APART * j * theta[i]
-                others = list(manifold)
-                if i == 0:
-                    others += [theta[1] + aside[1], theta[1] - aside[1]]
-                if min(_gap(theta[i] + move, others), _gap(theta[i] - move, others)) > APART:
-                    aside[i] = move
-                    break
-        covered = self.compressed.covers(theta + aside) and self.compressed.covers(theta - aside)
-        return aside if covered else None
 
     def guarded(self, psi: FloatArray) -> tuple[float, FloatArray]:
         """:meth:`objective`, but minus infinity outside the mesh instead of a slow full pass."""
@@ -399,26 +355,17 @@ def _climb(surface: Surface, theta: FloatArray, n_iterations: int = 40) -> Maxim
     return maximise(surface.guarded, curvature, psi, every, *surface.box, n_iterations)
 
 
-def white_problem(problem: Problem) -> Problem:
-    """The same mean under iid noise: its maximum likelihood is least squares."""
-    return replace(
-        problem, noise=Noise("constant", "white", per_experiment=problem.noise.per_experiment)
-    )
+def white_surface(problem: Problem, theta: FloatArray, rms: float, region: Region) -> Surface:
+    """Least squares as a likelihood: iid noise ``rms`` (V), on a mesh valid in ``region``.
 
-
-def white_surface(
-    problem: Problem, theta: FloatArray, rms: float, region: Region
-) -> tuple[Surface, Maximum]:
-    """Least squares as a likelihood of noise ``rms`` (V) on a mesh valid in ``region``."""
-    white = white_problem(problem)
+    Its maximum is least squares.
+    """
+    noise = Noise("constant", "white", per_experiment=problem.noise.per_experiment)
+    white = replace(problem, noise=noise)
     vector = theta.copy()
     for row in white.layout.noise:
         vector[row] = 0.0, rms, 0.0
-    surface = Surface(compress(white, vector, region))
-    psi = surface.psi(vector)
-    matrix = surface.information(psi)
-    maximum = maximise(surface.guarded, lambda _: matrix, psi, surface.mean, *surface.box)
-    return surface, maximum
+    return Surface(compress(white, vector, region))
 
 
 def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:

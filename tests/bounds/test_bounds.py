@@ -507,7 +507,10 @@ def test_a_refit_on_node_sums_equals_a_refit_of_the_samples(small):
         values[e.name] = mean_and_variance(problem, vector, k)[0] + own.scale * z
     again = Problem(small.campaign.with_data(values))
     region = evidence.white.compressed.region
-    surface, maximum = white_surface(again, vector, small.fit.rms, region)
+    surface = white_surface(again, vector, small.fit.rms, region)
+    psi = surface.psi(vector)
+    matrix = surface.information(psi)
+    maximum = maximise(surface.guarded, lambda _: matrix, psi, surface.mean, *surface.box)
     sd = np.sqrt(np.diag(invert(surface.information(maximum.psi))[0]))
     gap = np.abs(refitted[0] - maximum.psi)[surface.mean] / sd[surface.mean]
     assert gap.max() < 0.02

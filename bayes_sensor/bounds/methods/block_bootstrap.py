@@ -27,7 +27,7 @@ from bayes_sensor.bounds.likelihood_surface import Surface, curvature_along_tau,
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.likelihood.density import mean_and_variance
-from bayes_sensor.likelihood.mesh import K, compress
+from bayes_sensor.likelihood.mesh import K, compress, lagrange
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 
@@ -170,25 +170,6 @@ def stationary_indices(
     return out
 
 
-def _lagrange_tables(n_kinds: int) -> tuple[FloatArray, np.ndarray]:
-    """Lagrange weights of every sample of a block of 8 2^kind samples, one kind after the other."""
-    nodes = 0.5 - 0.5 * np.cos((2 * np.arange(K) + 1) * np.pi / (2 * K))
-    weights = (-1.0) ** np.arange(K) * np.sin((2 * np.arange(K) + 1) * np.pi / (2 * K))
-    rows, offset = [], []
-    total = 0
-    for kind in range(n_kinds):
-        n = 8 * 2**kind
-        offset.append(total)
-        total += n
-        distance = ((np.arange(n) + 0.5) / n)[:, None] - nodes
-        hit = np.abs(distance) < 1e-14
-        terms = weights / np.where(hit, 1.0, distance)
-        table = terms / terms.sum(axis=1, keepdims=True)
-        table[hit.any(axis=1)] = hit[hit.any(axis=1)]
-        rows.append(table)
-    return np.concatenate(rows), np.array(offset)
-
-
 # --------------------------------------------------------------------------- resampling
 
 
@@ -246,7 +227,10 @@ def resample_and_refit(
     vector = theta.copy()
     noise = problem.layout.noise
     vector[noise] = evidence.theta[noise]
-    table, offset = _lagrange_tables(int(mesh.n_kinds))
+    # Lagrange weights of every sample of a block of 8 2^kind samples, one kind after the other
+    sizes = 8 * 2 ** np.arange(mesh.n_kinds)
+    table = np.concatenate([lagrange((np.arange(n) + 0.5) / n) for n in sizes])
+    offset = np.cumsum([0, *sizes[:-1]])
     series, starts, counts, means, residuals = [], [], [], [], []
     for k, e in enumerate(problem.campaign):
         series.append(residual_series(problem, vector, k, whitened))

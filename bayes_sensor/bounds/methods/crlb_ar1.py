@@ -19,15 +19,14 @@ def crlb_ar1(evidence: Evidence) -> Bound:
     surface = evidence.coloured
     psi = evidence.coloured_maximum.psi
     cov, identified = invert(surface.information(surface.expansion(psi)))
-    names, trouble = surface.mean_names, evidence.coloured_trouble
-    theta = evidence.coloured_theta
-    noise = {
-        name: float(theta[evidence.problem.layout.index(name)])
-        for name in evidence.problem.layout.noise_names
-    }
+    layout, theta, trouble = (
+        evidence.problem.layout,
+        evidence.coloured_theta,
+        evidence.coloured_trouble,
+    )
+    noise = {name: float(theta[layout.index(name)]) for name in layout.noise_names}
     return gaussian_bound(
-        names,
-        theta[[evidence.problem.layout.index(name) for name in names]],
+        *evidence.of_mean(theta),
         cov[np.ix_(surface.mean, surface.mean)],
         evidence.coloured_at_bound,
         identified=identified[surface.mean],

@@ -30,9 +30,8 @@ def crlb_iid_one_percent_step(evidence: Evidence) -> Bound:
     method = "euler"
     problem = evidence.problem
     if not problem.layout.is_published:
-        empty = np.full((len(names), len(LEVELS)), np.nan)
         reason = "the paper's recipe is for its own rig, with one pulse a record"
-        return Bound(names, evidence.estimate, empty[:, 0], empty, empty, reason)
+        return Bound.without_values(names, evidence.estimate, reason)
     fastest = min(theta[1], *(theta[2] / e.total_flow for e in campaign))
     if theta[0] < 2.0 * longest and fastest > 2.0 * longest:
         theta[0] = 2.0 * longest

@@ -9,12 +9,11 @@ only. Variance (n - 1)/n sum (psi_(-k) - mean)^2 with Student's t on n - 1 degre
 from __future__ import annotations
 
 from dataclasses import replace
-from math import nan
 
 import numpy as np
 from scipy import stats
 
-from bayes_sensor.bounds.bound import LEVELS, Bound
+from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
 from bayes_sensor.bounds.likelihood_surface import Surface, maximise
@@ -85,9 +84,8 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     names = surface.mean_names
     n = len(evidence.problem.campaign)
     if n < 3:
-        empty = np.full((len(names), len(LEVELS)), nan)
-        status = f"needs at least 3 experiments, there are {n}"
-        return Bound(names, evidence.estimate, empty[:, 0], empty, empty, status)
+        reason = f"needs at least 3 experiments, there are {n}"
+        return Bound.without_values(names, evidence.estimate, reason)
     found, settled = leave_one_out(surface, evidence.psi_white)
     own = evidence.problem.layout.shared_names
     shared = [i for i, name in enumerate(names) if name in own]
@@ -106,14 +104,11 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
         status="" if settled else "a refit without one experiment did not settle",
         details={"n_experiments": n},
     )
-    if not settled:  # a spread of unfinished fits would say nothing
-        short = replace(
-            short, sd=short.sd * nan, low=short.low * nan, high=short.high * nan,
-        )  # fmt: skip
-    sd = np.full(len(names), nan)
-    low, high = np.full((len(names), len(LEVELS)), nan), np.full((len(names), len(LEVELS)), nan)
-    sd[shared], low[shared], high[shared] = short.sd, short.low, short.high
-    return Bound(names, evidence.estimate, sd, low, high, short.status, short.details)
+    bound = Bound.without_values(names, evidence.estimate, short.status)
+    sd, low, high = bound.sd.copy(), bound.low.copy(), bound.high.copy()
+    if settled:  # a spread of unfinished fits would say nothing
+        sd[shared], low[shared], high[shared] = short.sd, short.low, short.high
+    return replace(bound, sd=sd, low=low, high=high, details=short.details)
 
 
 METHOD = BoundMethod(

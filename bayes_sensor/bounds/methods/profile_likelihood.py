@@ -19,15 +19,15 @@ from bayes_sensor.likelihood.mesh import sizes
 def profile(evidence: Evidence) -> Bound:
     """Likelihood-ratio intervals of every parameter of the mean."""
     surface, maximum = evidence.coloured, evidence.coloured_maximum
+    theta = evidence.coloured_theta
+    names, estimate = evidence.of_mean(theta)
     if not maximum.converged:
-        return _no_profile(evidence)
+        reason = f"{evidence.coloured_trouble}: no profile about it"
+        return Bound.without_values(names, estimate, reason)
     profiler = Profiler.of(surface, maximum)
     rough = crlb_ar1(evidence)
-    names = surface.mean_names
     targets = [normal_factor(level) for level in LEVELS.values()]
     low, high = np.full((len(names), 3), nan), np.full((len(names), 3), nan)
-    theta = evidence.coloured_theta
-    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
     at_zero = False
     size = sizes(evidence.problem, theta)
     for row, name in enumerate(names):
@@ -58,15 +58,6 @@ def profile(evidence: Evidence) -> Bound:
         sentences.append(f"no end found for {', '.join(lost)}")
     sd = np.full(len(names), nan)
     return Bound(names, estimate, sd, low, high, "; ".join(sentences) or "ok")
-
-
-def _no_profile(evidence: Evidence) -> Bound:
-    names = evidence.coloured.mean_names
-    theta = evidence.coloured_theta
-    estimate = theta[[evidence.problem.layout.index(name) for name in names]]
-    empty = np.full((len(names), len(LEVELS)), nan)
-    status = f"{evidence.coloured_trouble}: no profile about it"
-    return Bound(names, estimate, empty[:, 0], empty, empty, status)
 
 
 def _tau_ends(

@@ -11,7 +11,7 @@ and with them the pairs across gaps.
 Outside the region for which the mesh was built the likelihood is computed from all samples.
 """
 
-from bayes_sensor.likelihood.mesh.blocks import Region, build
+from bayes_sensor.likelihood.mesh.blocks import Region, build, lagrange
 from bayes_sensor.likelihood.mesh.compressed import Compressed, Nodes
 from bayes_sensor.likelihood.mesh.mean_derivatives import mean_derivatives, sizes
 from bayes_sensor.likelihood.mesh.mesh_arrays import Arrays, K
@@ -37,6 +37,7 @@ __all__ = [
     "compress",
     "default_region",
     "expected_information",
+    "lagrange",
     "log_likelihood",
     "mean_derivatives",
     "sizes",

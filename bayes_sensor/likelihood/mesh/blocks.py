@@ -23,7 +23,7 @@ TOLERANCE = 1e-7
 WINDOW_BLOCK = 0.03
 
 
-def _lagrange(points: FloatArray) -> FloatArray:
+def lagrange(points: FloatArray) -> FloatArray:
     """(n, K) values of the Lagrange polynomials of the Chebyshev nodes on [0, 1] at ``points``."""
     weights = (-1.0) ** np.arange(K) * np.sin((2 * np.arange(K) + 1) * pi / (2 * K))
     distance = points[:, None] - CHEBYSHEV
@@ -180,7 +180,7 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
                     L = np.eye(n, K)
                 else:
                     if n not in cache:
-                        cache[n] = _lagrange((np.arange(n) + 0.5) / n)
+                        cache[n] = lagrange((np.arange(n) + 0.5) / n)
                     L = cache[n]
                 stack = np.zeros((5, n))
                 stack[0] = 1.0
