@@ -55,6 +55,16 @@ def check_rising(times: FloatArray, where: str = "") -> None:
         )
 
 
+def runs_of(flags: BoolArray) -> NDArray[np.int64]:
+    """(n_runs, 2) start and end (exclusive) of each stretch of ``flags`` (n,) that are True.
+
+    >>> runs_of(np.array([True, True, False, True])).tolist()
+    [[0, 2], [3, 4]]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return edges.reshape(-1, 2).astype(np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Commands:
     """What was done to the gas in a record that is more than one step up and one down.
@@ -320,8 +330,7 @@ class Experiment:
     @cached_property
     def runs(self) -> NDArray[np.int64]:
         """(n_runs, 2) start and end (exclusive) index of each stretch of used samples."""
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], self.used, [False])).astype(int)))
-        return edges.reshape(-1, 2).astype(np.int64)
+        return runs_of(self.used)
 
     @cached_property
     def places(self) -> FloatArray:

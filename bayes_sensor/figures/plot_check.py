@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_sensor.campaign import BoolArray, Campaign, Experiment, FloatArray
+from bayes_sensor.experiment import runs_of
 from bayes_sensor.figures.colours import BLUE, DATA, GREEN, INK, ORANGE, PALE
 from bayes_sensor.figures.labels import shortened
 from bayes_sensor.figures.style import WIDTH, new_figure, style
@@ -134,10 +135,9 @@ def _drive(axes: Axes, e: Experiment) -> None:
 
 def _spans_left_out(e: Experiment) -> list[tuple[float, float]]:
     """Start and end (s) of stretches that are not used, near ones joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], ~e.used, [False])).astype(np.int8)))
     least = (float(e.t[-1]) - float(e.t[0])) / 500  # thinner ones could not be seen
     spans: list[tuple[float, float]] = []
-    for start, end in edges.reshape(-1, 2):
+    for start, end in runs_of(~e.used):
         first, last = float(e.t[start]), float(e.t[min(end, len(e.t) - 1)])
         last = max(last, first + least)
         if spans and first - spans[-1][1] < least:

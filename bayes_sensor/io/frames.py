@@ -86,9 +86,13 @@ def campaign_from_frames(frames: Any, keys: Mapping[str, Any]) -> Campaign:
             file = DataFile(Path(), where, content_of_columns(columns))
             for own, record, sensor in by_sensor(entry):
                 channel = own.drive or own.input
+                if own.signal is None and channel is None and "drive" in columns:
+                    channel = "drive"
                 selection = Selection(own.signal, channel, own.time, own.interval)
                 with np.errstate(over="ignore", invalid="ignore"):
-                    done = assemble(own, file, recording_of_frame(columns, file, selection))
+                    recording = recording_of_frame(columns, file, selection)
+                    # numbers without a unit are seconds, as everywhere in Python
+                    done = assemble(own, file, replace(recording, timed=True))
                 made = replace(done.experiment, source="", record=record, sensor=sensor)
                 experiments.append(made)
                 units.append((own.name, done.unit))

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.experiment import runs_of
 from bayes_sensor.io.disk import write_bytes
 
 FORMATS = ("csv", "picoscope-csv", "mat", "npz")
@@ -386,15 +387,14 @@ def _write_columns(together: list[Experiment], path: Path, kind: str) -> Mapping
 
 
 def _mask_lines(experiment: Experiment) -> list[str]:
-    left_out = ~experiment.used
-    if not left_out.any():
+    left_out = runs_of(~experiment.used)
+    if not len(left_out):
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], left_out, [False])).astype(np.int8)))
     lines = ["mask = ["]
-    for start, end in zip(edges[::2], edges[1::2] - 1, strict=True):
+    for start, end in left_out:
         # half an interval wide: a range of one sample needs its end after its start
         a = experiment.t[start] - 0.25 * experiment.interval
-        b = experiment.t[end] + 0.25 * experiment.interval
+        b = experiment.t[end - 1] + 0.25 * experiment.interval
         lines.append(f'  ["{_seconds(a)} s", "{_seconds(b)} s"],')
     return [*lines, "]"]
 

@@ -9,26 +9,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.io.readers.frame import recording_of_frame
 from bayes_sensor.io.readers.recording import (
-    Clock,
-    Column,
     DataFile,
     Recording,
     Selection,
-    channel_names,
     check_counts,
     missing_extra,
     parser_errors,
-    split_name,
 )
-from bayes_sensor.io.readers.roles import Facts, choose_roles
-from bayes_sensor.io.readers.sampling import grid_times
-from bayes_sensor.io.readers.table import MOST_EMPTY, number_times
 
-SAMPLED = 400
-"""rows from which the kind of each column is told"""
+NOT_A_TIME = np.iinfo(np.int64).min
+"""the whole number that stands for a missing time in NumPy"""
 
 
 def read_parquet(file: DataFile, selection: Selection) -> Recording:
@@ -75,8 +69,6 @@ def read_feather(file: DataFile, selection: Selection) -> Recording:
 
 
 def _read(file: DataFile, selection: Selection, table: Any) -> Recording:
-    import pyarrow as pa
-
     if not table.schema.names or not table.num_rows:
         raise file.error("expected columns with samples, but the table is empty; export again")
     names = table.schema.names
@@ -86,116 +78,27 @@ def _read(file: DataFile, selection: Selection, table: Any) -> Recording:
             f"expected each column once, but '{repeated[:60]}' is in the table "
             f"{names.count(repeated)} times; give each column its own name"
         )
-    facts = [_facts(field, table.column(i)) for i, field in enumerate(table.schema)]
-    roles = choose_roles(file, facts, selection)
-    for i in (roles.signal, roles.drive):
-        if i is not None and facts[i].kind != "number":
-            raise file.error(
-                f"column '{facts[i].column.name}' has the type "
-                f"{str(table.schema.field(i).type)[:60]}; expected numbers: store it as float"
-            )
-    notes = list(roles.notes)
-    signal = _floats(table.column(roles.signal))
-    keep = np.ones(len(signal), dtype=bool)
-    empty = np.isnan(signal)
-    others = [
-        i
-        for i, fact in enumerate(facts)
-        if fact.kind == "number" and i != roles.signal and i not in roles.times
-    ]
-    if MOST_EMPTY < empty.mean() < 1 and others:
-        filled = np.zeros(len(signal), dtype=bool)
-        for i in others:
-            filled |= np.isfinite(_floats(table.column(i)))
-        keep = ~(empty & filled)
-        notes.append(
-            f"{int((~keep).sum())} of {len(keep)} rows hold no "
-            f"'{facts[roles.signal].column.name}' and belong to other channels; left out"
-        )
-    clock: Clock | None = None
-    interval = None
-    if not roles.times:
-        assert selection.interval is not None  # choose_roles sees to it
-        interval = selection.interval if keep.all() else None
-        t = grid_times(0.0, selection.interval, len(signal))[keep]
-    else:
-        time = roles.times[0]
-        kind, column = table.schema.field(time).type, table.column(time)
-        if _is_clock(pa, kind):
-            ns = _nanoseconds(pa, kind, column)[keep]
-            if column.null_count:
-                raise file.error(
-                    f"column '{facts[time].column.name}' has rows without a time; remove them"
-                )
-            clock = Clock(int(ns[0]), not (pa.types.is_time(kind) or pa.types.is_duration(kind)))
-            t = (ns - ns[0]) / 1e9
-        elif facts[time].kind == "number":
-            whole = np.asarray(column.to_numpy(zero_copy_only=False))[keep]
-            t, clock, remark = number_times(file, facts[time].column, whole)
-            notes += [remark] if remark else []
-        else:
-            raise file.error(
-                f"column '{facts[time].column.name}' has the type {str(kind)[:60]}; expected "
-                "times: store it as timestamp, or as float in seconds"
-            )
-    rows = np.flatnonzero(keep)
-    return Recording(
-        t=t,
-        y=signal[keep],
-        signal=facts[roles.signal].column.name,
-        place=lambda i: f"row {int(rows[i]) + 1}",
-        drive=None if roles.drive is None else _floats(table.column(roles.drive))[keep],
-        drive_name="" if roles.drive is None else facts[roles.drive].column.name,
-        unit=facts[roles.signal].column.unit,
-        interval=interval,
-        clock=clock,
-        timed=not roles.times or bool(facts[roles.times[0]].column.unit),
-        notes=tuple(notes),
-        channels=channel_names([fact.column.name for fact in facts], roles.channels),
-    )
+    columns = {name: _values(column) for name, column in zip(names, table.columns, strict=True)}
+    return recording_of_frame(columns, file, selection)
 
 
-def _is_clock(pa: Any, kind: Any) -> bool:
-    types = pa.types
-    return bool(
-        types.is_timestamp(kind) or types.is_date(kind) or types.is_time(kind)
-        or types.is_duration(kind)
-    )  # fmt: skip
-
-
-def _facts(field: Any, column: Any) -> Facts:
+def _values(column: Any) -> NDArray[Any]:
+    """(n,) numbers as floats, times as datetime64 or timedelta64, anything else as objects."""
     import pyarrow as pa
 
-    name = split_name(field.name)
-    if _is_clock(pa, field.type):
-        # a date alone cannot be the time of samples, unless there is nothing else
-        return Facts(name, "stamp", np.empty(0))
     types = pa.types
-    if (
-        types.is_integer(field.type)
-        or types.is_floating(field.type)
-        or types.is_decimal(field.type)
-    ):
-        some = _floats(column.slice(0, SAMPLED))
-        some = some[np.isfinite(some)]
-        kind = "number" if len(some) or column.null_count < len(column) else ""
-        return Facts(name, kind, some)
-    return Facts(Column(field.name, name.base, name.unit), "text", np.empty(0))
-
-
-def _floats(column: Any) -> FloatArray:
-    import pyarrow as pa
-
-    values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    return np.asarray(values, dtype=np.float64)
-
-
-def _nanoseconds(pa: Any, kind: Any, column: Any) -> np.ndarray:
-    """(n,) whole nanoseconds of a column of times."""
-    if pa.types.is_date(kind):
-        column, kind = column.cast(pa.timestamp("ms")), pa.timestamp("ms")
-    per = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[kind.unit]
-    whole = column.cast(pa.int32()).cast(pa.int64()) if kind.bit_width == 32 else column.cast(
-        pa.int64()
-    )  # fmt: skip
-    return np.asarray(whole.fill_null(0).to_numpy(zero_copy_only=False), dtype=np.int64) * per
+    if types.is_date(column.type):
+        column = column.cast(pa.timestamp("ms"))
+    kind = column.type
+    if types.is_timestamp(kind) or types.is_time(kind) or types.is_duration(kind):
+        counts = column.cast(pa.int32()).cast(pa.int64()) if kind.bit_width == 32 else column.cast(
+            pa.int64()
+        )  # fmt: skip
+        whole = counts.fill_null(NOT_A_TIME).to_numpy(zero_copy_only=False)
+        return np.asarray(whole).view(f"{'M' if types.is_timestamp(kind) else 'm'}8[{kind.unit}]")
+    if types.is_integer(kind) and not column.null_count:
+        return np.asarray(column.to_numpy(zero_copy_only=False))
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind):
+        floats = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        return np.asarray(floats, dtype=np.float64)
+    return np.empty(len(column), dtype=object)

@@ -10,21 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.io.readers.arrow import SAMPLED
 from bayes_sensor.io.readers.recording import (
     Clock,
     Column,
     DataFile,
     Recording,
     Selection,
+    channel_names,
     check_counts,
-    drive_place,
     is_time,
     split_name,
 )
 from bayes_sensor.io.readers.roles import Facts, choose_roles
 from bayes_sensor.io.readers.sampling import grid_times
-from bayes_sensor.io.readers.table import MOST_EMPTY, number_times
+from bayes_sensor.io.readers.table import MOST_EMPTY, SAMPLED, number_times
 
 VECTORS = ("t", "y", "drive")
 """what the arrays of a tuple are"""
@@ -169,8 +168,6 @@ def recording_of_frame(
     facts = [_facts(name, array) for name, array in columns.items()]
     roles = choose_roles(file, facts, selection)
     signal, drive = roles.signal, roles.drive
-    if selection.drive is None and selection.signal is None and "drive" in names:
-        drive = drive_place(file, [fact.column for fact in facts], Selection(drive="drive"))
     for i in (signal, drive):
         if i is not None and facts[i].kind != "number":
             raise file.error(
@@ -180,31 +177,21 @@ def recording_of_frame(
     notes = list(roles.notes)
     keep, note = _own_rows(y, facts, values, signal, roles.times)
     notes += [note] if note else []
-    clock, interval = None, None
+    clock: Clock | None = None
+    interval = None
     if not roles.times:
         assert selection.interval is not None  # choose_roles sees to it
         interval = selection.interval if keep.all() else None
         t = grid_times(0.0, selection.interval, len(y))[keep]
     else:
         time = roles.times[0]
-        written = values[time][keep]
-        if written.dtype.kind in "Mm":
-            if np.isnat(written).any():
-                row = int(np.argmax(np.isnat(written)))
-                raise file.error(
-                    f"row {row + 1} of '{names[time][:60]}' has no time; expected one for each "
-                    "sample: leave it out"
-                )
-            ns = written.astype(f"{written.dtype.kind}8[ns]").astype(np.int64)
-            t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), written.dtype.kind == "M")
-        elif facts[time].kind == "number":
-            t, clock, remark = number_times(file, facts[time].column, written)
-            notes += [remark] if remark else []
-        else:
+        if facts[time].kind not in ("stamp", "number"):
             raise file.error(
-                f"column '{names[time][:60]}' has the type {written.dtype}; expected times: "
+                f"column '{names[time][:60]}' has the type {values[time].dtype}; expected times: "
                 "numbers in s, datetime64 or timedelta64"
             )
+        t, clock, remark = number_times(file, facts[time].column, values[time][keep])
+        notes += [remark] if remark else []
     rows = np.flatnonzero(keep)
     return Recording(
         t=t,
@@ -216,9 +203,9 @@ def recording_of_frame(
         unit=facts[signal].column.unit,
         interval=interval,
         clock=clock,
-        # numbers without a unit are seconds, as everywhere in Python
-        timed=True,
+        timed=not roles.times or bool(facts[roles.times[0]].column.unit),
         notes=tuple(notes),
+        channels=channel_names(names, roles.channels),
     )
 
 
@@ -228,7 +215,9 @@ def _facts(name: str, array: NDArray[Any]) -> Facts:
         return Facts(column, "stamp", np.empty(0))
     if array.dtype.kind in "biuf":
         some = np.asarray(array[:SAMPLED], dtype=float)
-        return Facts(column, "number", some[np.isfinite(some)])
+        some = some[np.isfinite(some)]
+        there = len(some) > 0 or bool(np.isfinite(np.asarray(array, dtype=float)).any())
+        return Facts(column, "number" if there else "", some)
     return Facts(Column(name, column.base, column.unit), "text", np.empty(0))
 
 

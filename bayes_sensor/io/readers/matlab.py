@@ -18,24 +18,19 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers.recording import (
     MAX_SAMPLES,
-    Column,
     DataFile,
     Recording,
     Selection,
-    check_chosen,
     check_counts,
-    drive_place,
-    find_column,
     is_time,
     list_names,
     parser_errors,
-    recording_of_vectors,
     seconds,
     split_name,
     time_place,
 )
-from bayes_sensor.io.readers.sampling import grid_times, simplest_near
-from bayes_sensor.io.readers.table import number_times
+from bayes_sensor.io.readers.sampling import simplest_near
+from bayes_sensor.io.readers.vectors import recording_of_vectors, signal_and_drive
 
 _NUMERIC = frozenset(
     "double single int8 uint8 int16 uint16 int32 uint32 int64 uint64 logical".split()
@@ -90,74 +85,39 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
         )
     if has_clock:
         time = None
-    signal, drive = _choose(file, columns, vectors, time, sizes, selection)
+    candidates = [
+        i
+        for i, column in enumerate(columns)
+        if i != time and not is_time(column) and not (column.unit and seconds(column.unit))
+    ]
+    if time is not None:
+        as_long = [i for i in candidates if sizes[vectors[i]] == sizes[vectors[time]]]
+        candidates = as_long or candidates
+    usual = [i for name in ("A", "y") for i in candidates if vectors[i] == name]
+    signal, drive = signal_and_drive(
+        file, columns, selection, time, usual or candidates,
+        "expected a vector with the signal beside the time, but there is none; save the signal as "
+        "a row or column vector of numbers",
+    )  # fmt: skip
     wanted = {vectors[i] for i in (time, signal, drive) if i is not None}
     wanted |= {name for name in _CLOCK if has_clock and sizes.get(name) == 1}
     content = _read_variables(file, [v for v in variables if v.name in wanted])
     y = _vector(file, content, vectors[signal])
     d = None if drive is None else _vector(file, content, vectors[drive])
-    interval, clock, remark = selection.interval, None, ""
-    if time is not None:
-        t, clock, remark = number_times(file, columns[time], _vector(file, content, vectors[time]))
-    elif interval is not None:
-        t = grid_times(0.0, interval, len(y))
-    else:
+    written = None if time is None else _vector(file, content, vectors[time])
+    start, interval = 0.0, selection.interval
+    if has_clock:
         start, interval = _clock(file, content, len(y))
-        t = grid_times(start, interval, len(y))
+    n = sizes[vectors[signal]]
     return recording_of_vectors(
-        file, columns, signal, drive, (t, y, d), called="the {} vector",
-        fix="save them with the same length", interval=interval, clock=clock,
-        timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
-        channels=_of_its_length(columns, vectors, time, sizes, sizes[vectors[signal]]),
+        file, columns, (time, signal, drive), (written, y, d), called="the {} vector",
+        fix="save them with the same length", start=start, interval=interval,
+        channels=[
+            i
+            for i, column in enumerate(columns)
+            if i != time and not is_time(column) and sizes[vectors[i]] == n
+        ],
     )  # fmt: skip
-
-
-def _of_its_length(
-    columns: list[Column],
-    vectors: list[str],
-    time: int | None,
-    sizes: dict[str, int],
-    n: int,
-) -> list[int]:
-    """Positions of the vectors of ``n`` samples that are no times."""
-    return [
-        i
-        for i, column in enumerate(columns)
-        if i != time and not is_time(column) and sizes[vectors[i]] == n
-    ]
-
-
-def _choose(
-    file: DataFile,
-    columns: list[Column],
-    vectors: list[str],
-    time: int | None,
-    sizes: dict[str, int],
-    selection: Selection,
-) -> tuple[int, int | None]:
-    """Positions of signal and drive among the vectors."""
-    others = [
-        i
-        for i, column in enumerate(columns)
-        if i != time and not is_time(column) and not (column.unit and seconds(column.unit))
-    ]
-    if selection.signal is not None:
-        signal = find_column(file, columns, selection.signal, "signal")
-    else:
-        if time is not None:
-            others = [i for i in others if sizes[vectors[i]] == sizes[vectors[time]]] or others
-        for usual in ("A", "y"):
-            if usual in vectors and vectors.index(usual) in others:
-                others = [vectors.index(usual)]
-        if not others:
-            raise file.error(
-                "expected a vector with the signal beside the time, but there is none; "
-                "save the signal as a row or column vector of numbers"
-            )
-        signal = others[0]
-    drive = drive_place(file, columns, selection)
-    check_chosen(file, vectors, time, signal, drive)
-    return signal, drive
 
 
 def _vector(file: DataFile, content: dict[str, Any], name: str) -> FloatArray:

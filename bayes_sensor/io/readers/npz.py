@@ -5,30 +5,25 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.io.readers.recording import (
-    Clock,
     DataFile,
     Recording,
     Selection,
-    check_chosen,
     check_counts,
-    drive_place,
-    find_column,
     is_time,
     list_names,
     parser_errors,
-    recording_of_vectors,
     seconds,
     split_name,
     time_place,
 )
-from bayes_sensor.io.readers.sampling import grid_times
-from bayes_sensor.io.readers.table import number_times
+from bayes_sensor.io.readers.vectors import recording_of_vectors, signal_and_drive
 
 _WHAT = "a NumPy archive (.npz)"
 
@@ -67,47 +62,28 @@ def read_npz(file: DataFile, selection: Selection) -> Recording:
                 f"expected an array 't' with the times, but it has {list_names(members)}; "
                 'save with numpy.savez(path, t=t, y=y), or write interval = "1 ms"'
             )
-        if selection.signal is not None:
-            signal = find_column(file, columns, selection.signal, "signal")
-        elif "y" in members:
-            signal = members.index("y")
-        else:
-            others = [
-                i
-                for i, column in enumerate(columns)
-                if i != time and column.base != "drive" and not is_time(column)
-                and not (column.unit and seconds(column.unit))
-            ]  # fmt: skip
-            if not others:
-                raise file.error(
-                    "expected an array 'y' with the signal beside the times; "
-                    "save with numpy.savez(path, t=t, y=y)"
-                )
-            signal = others[0]
-        drive = drive_place(file, columns, selection)
-        if drive is None and selection.signal is None and "drive" in members:
-            drive = members.index("drive")
-        check_chosen(file, members, time, signal, drive)
+        if selection.signal is None and selection.drive is None and "drive" in members:
+            selection = replace(selection, drive="drive")
+        candidates = [
+            i
+            for i, column in enumerate(columns)
+            if i != time and column.base != "drive" and not is_time(column)
+            and not (column.unit and seconds(column.unit))
+        ]  # fmt: skip
+        if "y" in members:
+            candidates = [members.index("y")]
+        signal, drive = signal_and_drive(
+            file, columns, selection, time, candidates,
+            "expected an array 'y' with the signal beside the times; "
+            "save with numpy.savez(path, t=t, y=y)",
+        )  # fmt: skip
         y = _array(file, archive, members[signal])
         written = None if time is None else _array(file, archive, members[time], True)
         d = None if drive is None else _array(file, archive, members[drive])
-    clock, remark = None, ""
-    if time is None or written is None:
-        assert selection.interval is not None  # looked at above
-        t = grid_times(0.0, selection.interval, len(y))
-    elif written.dtype.kind in "Mm":
-        ns = written.astype(f"{written.dtype.kind}8[ns]").astype(np.int64)
-        if np.isnat(written).any():
-            i = int(np.argmax(np.isnat(written)))
-            raise file.error(f"sample {i + 1} has no time; expected one for each: leave it out")
-        t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), written.dtype.kind == "M")
-    else:
-        t, clock, remark = number_times(file, columns[time], written)
     return recording_of_vectors(
-        file, columns, signal, drive, (t, y, d), called="'{}'",
+        file, columns, (time, signal, drive), (written, y, d), called="'{}'",
         fix="save them with the same length", time_name="time" if time is None else members[time],
-        interval=selection.interval, clock=clock, timed=time is None or bool(columns[time].unit),
-        notes=(remark,) if remark else (),
+        interval=selection.interval,
         channels=[i for i, c in enumerate(columns) if i != time and not is_time(c)],
     )  # fmt: skip
 

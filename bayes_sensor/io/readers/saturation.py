@@ -16,9 +16,9 @@ one of two reasons:
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_sensor.campaign import BoolArray, FloatArray
+from bayes_sensor.experiment import runs_of
 
 NEAR = 0.35
 """part of the signal's range next to the rail, where its noise is measured"""
@@ -65,7 +65,7 @@ def _is_rail(values: FloatArray, rail: float) -> bool:
     if not high > low:
         return False
     held = values == rail
-    starts, ends = _runs(held)
+    starts, ends = runs_of(held).T
     longest = int((ends - starts).max())
     if longest < 4:
         return False
@@ -91,7 +91,7 @@ def _too_quiet(values: FloatArray, distance: FloatArray, longest: int, least: fl
 
 def _runs_into(distance: FloatArray, held: BoolArray, resolution: float) -> bool:
     """Whether the signal stops at the rail in a kink; distances are in parts of the range."""
-    starts, ends = _runs(held)
+    starts, ends = runs_of(held).T
     for start, end in zip(starts[ends - starts >= 100], ends[ends - starts >= 100], strict=True):
         far = np.flatnonzero(distance[:start] > NEAR)
         if not len(far):
@@ -127,9 +127,3 @@ def _least_step(values: FloatArray) -> float:
     """
     steps = np.diff(np.unique(values))
     return float(steps[steps > 1e-3 * np.median(steps)].min())
-
-
-def _runs(held: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start and end (exclusive) of each run."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], held, [False])).astype(np.int8)))
-    return edges[::2], edges[1::2]

@@ -92,18 +92,6 @@ def is_date(cell: str) -> bool:
     return _ONLY_DATE.fullmatch(cell.strip()) is not None
 
 
-def has_fraction(cell: str) -> bool:
-    """Whether a stamp states a fraction of a second."""
-    match = _match(cell.strip())
-    return match is not None and bool(match["f"])
-
-
-def has_date(cell: str) -> bool:
-    """Whether a stamp states its date."""
-    match = _match(cell.strip())
-    return match is not None and bool(match["date"])
-
-
 def _match(text: str) -> re.Match[str] | None:
     return _WRITTEN.fullmatch(text) or _COMPACT.fullmatch(text)
 

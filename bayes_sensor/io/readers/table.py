@@ -387,7 +387,19 @@ def _unit_of(file: DataFile, column: Column, typical: float) -> tuple[float, str
 def number_times(
     file: DataFile, column: Column, values: NDArray[Any]
 ) -> tuple[FloatArray, Clock | None, str]:
-    """(n,) s of a column of numbers; where they count from an epoch, from its first."""
+    """(n,) s of a column of numbers, or of NumPy's datetime64 and timedelta64.
+
+    Where they count from an epoch, from its first, which the clock has.
+    """
+    if values.dtype.kind in "Mm":
+        missing = np.isnat(values)
+        if missing.any():
+            raise file.error(
+                f"row {int(np.argmax(missing)) + 1} of '{column.name.strip()[:60]}' has no time; "
+                "expected one for each sample: leave it out"
+            )
+        ns = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
+        return (ns - ns[0]) / 1e9, Clock(int(ns[0]), values.dtype.kind == "M"), ""
     numbers = np.asarray(values, dtype=np.float64)
     finite = numbers[np.isfinite(numbers)]
     typical = float(np.median(finite)) if len(finite) else 0.0
@@ -401,8 +413,8 @@ def number_times(
     ) < len(numbers):
         return scale_time(file, column, numbers), None, ""
     per = round(second * 1e9)
-    if np.asarray(values).dtype.kind in "iu" and per >= 1:
-        ns = np.asarray(values).astype(np.int64) * per
+    if values.dtype.kind in "iu" and per >= 1:
+        ns = values.astype(np.int64) * per
     else:
         # floats keep a second since 1970 to a few tenths of a microsecond
         away = (numbers - numbers[0]) * second

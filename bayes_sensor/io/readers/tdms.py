@@ -14,25 +14,20 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.readers.quantities import known_unit
 from bayes_sensor.io.readers.recording import (
-    Clock,
     Column,
     DataFile,
     Recording,
     Selection,
-    check_chosen,
     check_counts,
-    drive_place,
-    find_column,
     is_time,
     list_names,
     missing_extra,
     parser_errors,
-    recording_of_vectors,
     split_name,
     time_place,
 )
-from bayes_sensor.io.readers.sampling import grid_times, simplest_near
-from bayes_sensor.io.readers.table import number_times
+from bayes_sensor.io.readers.sampling import simplest_near
+from bayes_sensor.io.readers.vectors import recording_of_vectors, signal_and_drive
 
 _WHAT = "a TDMS file (.tdms)"
 
@@ -73,45 +68,34 @@ def read_tdms(file: DataFile, selection: Selection) -> Recording:
             for i, column in enumerate(columns)
             if i != time and i not in dated and not is_time(column)
         ]
-        if selection.signal is not None:
-            signal = find_column(file, columns, selection.signal, "signal")
-        elif others:
-            signal = others[0]
-        else:
-            raise file.error(
-                f"expected a signal channel beside the time, but there is only "
-                f"{list_names([column.name for column in columns])}; export the signal as well"
-            )
-        drive = drive_place(file, columns, selection)
-        check_chosen(file, [column.name for column in columns], time, signal, drive)
+        signal, drive = signal_and_drive(
+            file, columns, selection, time, others,
+            "expected a signal channel beside the time, but there is only "
+            f"{list_names([column.name for column in columns])}; export the signal as well",
+        )  # fmt: skip
         y = _values(channels[signal])
         d = None if drive is None else _values(channels[drive])
-        interval, clock, remark = selection.interval, None, ""
-        if time is not None and time in dated:
-            ns = np.asarray(channels[time][:]).astype("M8[ns]").astype(np.int64)
-            t, clock = (ns - ns[0]) / 1e9, Clock(int(ns[0]), True)
-        elif time is not None:
-            t, clock, remark = number_times(file, columns[time], _values(channels[time]))
-        elif interval is not None:
-            t = grid_times(0.0, interval, len(y))
-        else:
-            properties = channels[signal].properties
-            interval = _number(properties.get("wf_increment"))
-            start = _number(properties.get("wf_start_offset", 0.0))
-            if interval is None or start is None or interval <= 0:
-                raise file.error(
-                    f"channel '{columns[signal].name}' has no sampling interval (wf_increment) and "
-                    "there is no channel named time; export it as a waveform, or write "
-                    'interval = "1 ms"'
-                )
-            interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(y)))
-            t = grid_times(simplest_near(start, 1e-3 * interval), interval, len(y))
+        written = None if time is None else np.asarray(channels[time][:])
+        start, interval = 0.0, selection.interval
+        if time is None and interval is None:
+            start, interval = _waveform(file, columns[signal], channels[signal])
     return recording_of_vectors(
-        file, columns, signal, drive, (t, y, d), called="the {} channel",
-        fix="export them together", interval=interval, clock=clock,
-        timed=time is None or bool(columns[time].unit), notes=(remark,) if remark else (),
-        channels=others,
+        file, columns, (time, signal, drive), (written, y, d), called="the {} channel",
+        fix="export them together", start=start, interval=interval, channels=others,
     )  # fmt: skip
+
+
+def _waveform(file: DataFile, column: Column, channel: Any) -> tuple[float, float]:
+    """Time of the first sample and sampling interval, s, of a channel that is a waveform."""
+    interval = _number(channel.properties.get("wf_increment"))
+    start = _number(channel.properties.get("wf_start_offset", 0.0))
+    if interval is None or start is None or interval <= 0:
+        raise file.error(
+            f"channel '{column.name}' has no sampling interval (wf_increment) and there is no "
+            'channel named time; export it as a waveform, or write interval = "1 ms"'
+        )
+    interval = simplest_near(interval, max(1e-9 * interval, 0.01 * interval / len(channel)))
+    return simplest_near(start, 1e-3 * interval), interval
 
 
 @contextmanager

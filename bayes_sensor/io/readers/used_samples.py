@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_sensor.campaign import BoolArray, CampaignError, FloatArray
+from bayes_sensor.experiment import runs_of
 from bayes_sensor.io.readers.recording import DataFile
 
 LONGEST_GAP = 1.0
@@ -83,7 +84,7 @@ def check_gaps(
     """Error on a long gap, a note on short ones."""
     if not missing.any():
         return
-    starts, ends = _runs(missing)
+    starts, ends = runs_of(missing).T
     lengths = ends - starts
     long = int(np.argmax(lengths))
     duration = lengths[long] * interval
@@ -114,8 +115,3 @@ def check_gaps(
         f"{file.where}: {count} in time, {int(missing.sum())} missing samples, the longest "
         f"{duration:.4g} s at {t[starts[long]]:.10g} s; left out"
     )
-
-
-def _runs(flags: BoolArray) -> tuple[np.ndarray, np.ndarray]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
-    return edges[::2], edges[1::2]
