@@ -26,9 +26,9 @@ from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.gaussian_intervals import SINGULAR, gaussian_bound, invert
 from bayes_sensor.bounds.likelihood_surface import Surface
-from bayes_sensor.bounds.sensitivities import local_jacobian
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.density import mean_and_variance
+from bayes_sensor.likelihood.mesh import mean_derivatives
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 
@@ -255,7 +255,9 @@ def sandwich_covariance(
     bandwidths: dict[str, float] = {}
     records: list[Scores] = []
     for k, e in enumerate(problem.campaign):
-        J, index = local_jacobian(problem, theta, k)
+        grid = e.interval if e.regular else None
+        _, _, index, slopes_of_mean, _ = mean_derivatives(problem, theta, k, e.t, grid)
+        J = np.where(e.used, slopes_of_mean, 0.0).T
         own = np.array([positions[problem.layout.names[i]] for i in index])
         here = np.ix_(own, own)
         J = J @ slopes[here]

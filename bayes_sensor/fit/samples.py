@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, log2
 from typing import TYPE_CHECKING, Any
 
@@ -145,10 +145,7 @@ def thinned(samples: Samples, edges: Sequence[float], span: float, most: int) ->
             pairs = np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1)
             runs.append((first + every * piece[0], 2 * whole, every * spacing))
             values.append(pairs.ravel())
-    return Samples(
-        samples.name, samples.start, samples.interval, samples.offset, samples.step,
-        np.array(runs), np.concatenate(values), samples.model,
-    )  # fmt: skip
+    return replace(samples, runs=np.array(runs), values=np.concatenate(values))
 
 
 # --------------------------------------------------------------------------- codes

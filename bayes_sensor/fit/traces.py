@@ -67,7 +67,8 @@ class Trace:
     signal_unit: str = "V"
 
 
-_COLUMNS = ("t", "low", "high", "model", "residual_low", "residual_high", "residual", "sd")
+_PARTS = ("whole", "rise", "fall")
+"""the envelopes of a trace"""
 
 
 def envelope(
@@ -159,23 +160,16 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
     arrays: dict[str, Any] = {}
     facts = []
     for k, trace in enumerate(traces):
-        facts.append(
-            {
-                name: getattr(trace, name)
-                for name in (
-                    "name", "total_flow", "concentration", "t0", "tf", "commanded_on",
-                    "commanded_off", "rms", "signal_unit",
-                )
-            }
-        )  # fmt: skip
-        for part in ("whole", "rise", "fall"):
-            piece = getattr(trace, part)
+        content = dict(vars(trace))
+        for part in _PARTS:
+            piece = content.pop(part)
             if piece is not None:
-                table = np.stack([getattr(piece, column) for column in _COLUMNS])
+                table = np.stack(list(vars(piece).values()))
                 # seven digits do not hold the time of day, nor that since an epoch
                 arrays[f"{k}_{part}_start"] = start = table[0, :1].copy()
                 table[0] -= start
                 arrays[f"{k}_{part}"] = table.astype(np.float32)
+        facts.append(content)
     save_archive(path, plain(facts), arrays)
 
 
@@ -184,7 +178,7 @@ def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
     facts, content = load_archive(path, "traces")
     traces = []
     for k, fact in enumerate(facts):
-        parts: dict[str, Any] = dict.fromkeys(("whole", "rise", "fall"))
+        parts: dict[str, Any] = dict.fromkeys(_PARTS)
         for part in parts:
             if f"{k}_{part}" in content:
                 table = content[f"{k}_{part}"].astype(float)

@@ -98,12 +98,12 @@ from bayes_sensor.bounds.context import Evidence
 problem, theta = small_problem(n=2, interval=0.05, masked=[(3.0, 3.5)], fall=[True, False])
 fit = SimpleNamespace(names=problem.layout.names, theta_hat=theta, rms=0.03)
 from bayes_sensor.bounds.gaussian_intervals import switch_quantiles
-from bayes_sensor.bounds.sensitivities import local_jacobian
+from bayes_sensor.likelihood.mesh import mean_derivatives
 say(cramer_rao(problem, theta).cov)
-say(*(local_jacobian(problem, theta, k)[0][::20] for k in range(2)))
+say(*(mean_derivatives(problem, theta, k, e.t[::20])[3] for k, e in enumerate(problem.campaign)))
 close = theta.copy()
 close[0] = close[1] - 1e-9
-say(local_jacobian(problem, close, 0)[0][::20])
+say(mean_derivatives(problem, close, 0, problem.campaign.experiments[0].t[::20], 1.0)[3])
 say(*switch_quantiles(2.0, 0.01, 0.02, 1e-4, 5e-5, np.array([1.0, 2.0])))
 for whitened in (True, False):
     bounded, free, details = resample_and_refit(Evidence(problem, fit), 3, whitened)
