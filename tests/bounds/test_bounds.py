@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from bayes_sensor.bounds import (
     LEVELS,
     METHODS,
     Bound,
+    CramerRao,
     Profiler,
     compare_bounds,
     cramer_rao,
@@ -77,6 +80,7 @@ PUBLISHED = {
 }
 
 
+@cache
 def published_design(first: float = 0.0) -> Campaign:
     """The paper's seven experiments without data: 120 s at 1 ms."""
     t = first + 1e-3 * np.arange(120_000)
@@ -99,6 +103,11 @@ def published_design(first: float = 0.0) -> Campaign:
 def published_theta(*noise: float) -> np.ndarray:
     rows = zip(PUBLISHED["y0"], PUBLISHED["beta"], PUBLISHED["t0"], PUBLISHED["tf"])
     return np.array([0.0481, 0.8577, 58.23, *(v for row in rows for v in row), *noise])
+
+
+@cache
+def published_bound(**options: Any) -> CramerRao:
+    return cramer_rao(published_design(), published_theta(), **options)
 
 
 def small_design(
@@ -145,7 +154,7 @@ def small() -> SimpleNamespace:
     design = small_design()
     theta = small_theta(design)
     campaign = simulate(design, theta, seed=3)
-    fit = fit_least_squares(campaign, seed=1)
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
     rng = np.random.default_rng(5)
     posterior = SimpleNamespace(
         names=list(fit.names), draws=fit.theta_hat + 0.01 * rng.standard_normal((4000, len(theta)))
@@ -172,14 +181,14 @@ def small() -> SimpleNamespace:
     ],
 )
 def test_published_table(options, expected, digits):
-    bound = cramer_rao(published_design(), published_theta(), **options)
+    bound = published_bound(**options)
     three_sigma = 3.0 * bound.sd[:3] * [1e3, 1e3, 1.0]
     for value, printed, places in zip(three_sigma, expected, digits):
         assert round(value, places) == printed
 
 
 def test_table_three_of_the_paper_within_half_a_percent():
-    bound = cramer_rao(published_design(), published_theta(), step=0.01)
+    bound = published_bound(step=0.01)
     three_sigma = 3.0 * bound.sd[:3] * [1e3, 1e3, 1.0]
     np.testing.assert_allclose(three_sigma, [5.6049, 8.6029, 0.6817], rtol=0.005)
 
@@ -190,11 +199,11 @@ def test_the_recipe_depends_on_where_time_starts_and_the_converged_bound_does_no
     moved[5::4] += shift
     moved[6::4] += shift
     design = published_design(first=shift)
-    here = cramer_rao(published_design(), published_theta())
+    here = published_bound()
     there = cramer_rao(design, moved)
     # the mesh has other blocks when rounding shifts a sample: far below a printed digit
     np.testing.assert_allclose(there.sd, here.sd, rtol=1e-5)
-    recipe = cramer_rao(published_design(), published_theta(), step=0.01)
+    recipe = published_bound(step=0.01)
     assert abs(cramer_rao(design, moved, step=0.01)["tau_s"] / recipe["tau_s"] - 1.0) > 0.05
 
 
@@ -202,10 +211,10 @@ def test_small_steps_converge_for_the_closed_form_and_not_for_euler():
     table = step_study(published_design(), published_theta(), steps=[1e-6, 0.01])
     assert len(table) == 8
     at = table.set_index(["step", "method", "difference"])
-    converged = cramer_rao(published_design(), published_theta())["tau_s"]
+    converged = published_bound()["tau_s"]
     assert at.loc[(1e-6, "exact", "central"), "tau_s"] == pytest.approx(converged, rel=1e-3)
     # Euler does not see t0 move by less than a sample: the bound of known switch times results
-    known = cramer_rao(published_design(), published_theta(), fixed=("t0_s", "tf_s"))["tau_s"]
+    known = published_bound(fixed=("t0_s", "tf_s"))["tau_s"]
     assert at.loc[(1e-6, "euler", "forward"), "tau_s"] == pytest.approx(known, rel=0.01)
     assert not at.loc[(1e-6, "euler", "forward"), "identified"]
     assert at.loc[(0.01, "euler", "forward"), "tau_s"] == pytest.approx(5.6113e-3 / 3, rel=1e-4)
@@ -551,7 +560,7 @@ def test_profile_equals_lmfit_under_iid_noise():
     theta[-1] = 0.0
     campaign = simulate(design, theta, seed=8)
     problem = Problem(campaign, noise=Noise("constant", "white"))
-    fit = fit_least_squares(problem, seed=1)
+    fit = fit_least_squares(problem, seed=1, swarms=1, euler=False)
     bounds = compare_bounds(problem, fit, methods=["profile"])
     ours = bounds["profile"]
     names = problem.layout.mean_names
@@ -822,7 +831,7 @@ def test_step_up_only_gaps_and_unequal_intervals():
     slower = replace(up.experiments[2], t=up.experiments[2].t[::2], interval=0.02, mask=None)
     design = replace(up, experiments=(*up.experiments[:2], slower))
     campaign = simulate(design, small_theta(design), seed=4)
-    fit = fit_least_squares(campaign, seed=1)
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
     bounds = compare_bounds(campaign, fit, n_resamples=40)
     for method, bound in bounds.methods.items():
         low, high = bound.interval("V_mL")
@@ -841,7 +850,7 @@ def at_bound() -> SimpleNamespace:
     theta = small_theta(design, tau=0.004, phi=0.8, sigma=0.05)
     for seed in range(1, 30):
         campaign = simulate(design, theta, seed)
-        fit = fit_least_squares(campaign, seed=1)
+        fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
         if "tau_s" in fit.at_bound:
             break
     assert "tau_s" in fit.at_bound
@@ -1000,7 +1009,7 @@ def test_a_bootstrap_without_spread_is_refused(at_bound, n_resamples: int):
 def test_the_profile_keeps_to_the_order_of_tau_and_tau_v():
     design = campaigns.small_design(n=2, interval=0.02)
     campaign = simulate(design, campaigns.small_theta(design, sigma0=0.03, tau=0.16), seed=2)
-    fit = fit_least_squares(campaign, seed=1)
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
     problem = Problem(campaign)
     evidence = Evidence(problem, fit)
     profiler = Profiler.of(evidence.coloured, evidence.coloured_maximum)

@@ -170,7 +170,7 @@ def test_a_step_lost_in_the_noise_leaves_every_interval_sound_or_null() -> None:
     weak = 3 + 4 * 1 + 1  # beta of the second experiment
     theta[weak] = 0.002
     campaign = simulate_setting(design, theta, SETTINGS["ar1_0.9"], 8)
-    fit = fit_least_squares(campaign, seed=1, euler=False)
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
     bounds = compare_bounds(campaign, fit, n_resamples=60)
     assert set(bounds.methods) == set(METHODS) - {"posterior"}
     for method, bound in bounds.methods.items():
@@ -193,7 +193,7 @@ def test_lags_that_coincide_at_equal_flows_get_no_narrow_interval() -> None:
     design = replace(design, experiments=tuple(same))
     theta[2] = theta[1] * flow  # a manifold as slow as the valve: their sensitivities are parallel
     campaign = simulate_setting(design, theta, SETTINGS["ar1_0.5"], 2)
-    fit = fit_least_squares(campaign, seed=1, euler=False)
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
     bounds = compare_bounds(campaign, fit, n_resamples=40)
     for method, bound in bounds.methods.items():
         low, high = bound.low[1:3], bound.high[1:3]

@@ -344,7 +344,7 @@ def one_flow(side: dict[str, SideInformation]) -> tuple[Problem, np.ndarray, flo
 @pytest.mark.parametrize("sampler", ["emcee", "independence"])
 def test_at_one_flow_the_priors_choose_the_order_of_valve_and_manifold(sampler: str) -> None:
     problem, _, flow = one_flow({"V_mL": SideInformation(58.0, 2.0)})
-    fit = fit_least_squares(problem, seed=1)
+    fit = fit_least_squares(problem, seed=1, swarms=1, euler=False)
     # the fit keeps lags by size; the volume tells which of them is V/Q
     assert fit.lags == pytest.approx([0.1, 0.5, 58.0 / flow], rel=0.1)
     assert fit.parameters["V_mL"] == pytest.approx(58.0, rel=0.05)
@@ -359,7 +359,7 @@ def test_at_one_flow_the_priors_choose_the_order_of_valve_and_manifold(sampler: 
 
 def test_at_one_flow_both_orders_have_their_share_without_other_knowledge() -> None:
     problem, _, flow = one_flow({})
-    fit = fit_least_squares(problem, seed=1)
+    fit = fit_least_squares(problem, seed=1, swarms=1, euler=False)
     posterior = sample_posterior(problem, fit, seed=1, settings=replace(QUICK, max_steps=3000))
     assert posterior.converged
     tau_v, lag = posterior.of("tau_v_s"), posterior.of("V_mL") / flow
@@ -381,7 +381,7 @@ def test_at_one_flow_both_orders_have_their_share_without_other_knowledge() -> N
 def test_bounds_refuse_what_is_of_other_data_and_tell_what_has_not_converged() -> None:
     problem, theta = small_problem(n=2, interval=0.02)
     other = replace(problem, campaign=simulate(problem, theta, seed=9))
-    fit, strange = (fit_least_squares(p, seed=1) for p in (problem, other))
+    fit, strange = (fit_least_squares(p, seed=1, swarms=1, euler=False) for p in (problem, other))
     few = Settings(n_chains=2, chunk=10, burn_in=5, max_steps=30)
     posterior, foreign = (
         sample_posterior(p, f, seed=1, settings=few) for p, f in ((problem, fit), (other, strange))
