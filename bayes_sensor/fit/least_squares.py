@@ -378,10 +378,11 @@ def refit(
     middle = [0.0 if law is None else float(law.median()) for law in laws]
     starts = [np.concatenate([theta, middle])]
     for i, law in enumerate(laws):
-        for share in () if law is None else (0.1, 0.9):
-            start = starts[0].copy()
-            start[layout.n_mean + i] = law.ppf(share)
-            starts.append(start)
+        if law is not None:
+            for value in law.ppf([0.1, 0.9]):
+                start = starts[0].copy()
+                start[layout.n_mean + i] = value
+                starts.append(start)
     points = mesh_points(problem, starts[0], *around(layout, theta, rise))
     found = [
         count.refine(problem, points, start, low, high, max_evaluations=15, tolerance=1e-5)
