@@ -9,13 +9,15 @@ shows on stderr unless told otherwise.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import pickle
 import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from functools import wraps
@@ -117,6 +119,66 @@ def in_order(function: Callable[..., Any], arguments: Sequence[Sequence[Any]], j
             raise result
         found[i] = result
     return [found[i] for i in range(len(arguments))]
+
+
+@contextmanager
+def beside(function: Callable[P, R], arguments: Sequence[Any]) -> Iterator[Callable[[], R]]:
+    """Let another process compute ``function(*arguments)`` while the block goes on.
+
+    What is yielded waits for the result, or computes it here where that process died.  A block that
+    ends early ends the process, too.
+    """
+    from joblib.externals.loky.process_executor import ProcessPoolExecutor
+
+    executor: Any = None
+    answer: Any = None
+
+    def wait() -> Any:
+        try:
+            return answer.result()
+        except BrokenExecutor:
+            _report(1, "a worker process")
+            return _Spread(function)(arguments)
+
+    try:
+        with _children_deaf_to_ctrl_c():
+            executor = ProcessPoolExecutor(1, initializer=_end_with, initargs=(os.getpid(),))
+            answer = executor.submit(_Spread(function), arguments)
+        yield wait
+    finally:
+        if executor is not None:
+            executor.shutdown(kill_workers=answer is None or not answer.done())
+
+
+def packed(record: Any, known: Mapping[str, Any]) -> bytes:
+    """A record as bytes for :func:`unpacked`, with the objects of ``known`` by their names.
+
+    >>> shared = object()
+    >>> unpacked(packed([shared, 2], {"it": shared}), {"it": 1})
+    [1, 2]
+    """
+    names = {id(value): name for name, value in known.items()}
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, value: Any) -> str | None:
+            return names.get(id(value))
+
+    buffer = io.BytesIO()
+    Pickler(buffer).dump(record)
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes, known: Mapping[str, Any]) -> Any:
+    """The record, with this process's objects of ``known`` in their places.
+
+    For what a worker of this package has sent: it is made by running what the bytes say.
+    """
+
+    class Unpickler(pickle.Unpickler):
+        def persistent_load(self, name: str) -> Any:
+            return known[name]
+
+    return Unpickler(io.BytesIO(content)).load()
 
 
 class _Spread:

@@ -23,6 +23,8 @@ from bayes_sensor.posterior import Settings
 from bayes_sensor.rig.cascade import Cascade
 
 LARGEST_SEED = 2**32 - 1
+BOOTSTRAP = 60
+"""simulated campaigns behind the gap's p-values, as of :func:`diagnose_gap`"""
 
 
 def analyze(
@@ -39,9 +41,10 @@ def analyze(
     without: Iterable[str] = (),
     effects: Iterable[Any] = (),
     nominal: Mapping[str, Any] | None = None,
-    bootstrap: int = 60,
+    bootstrap: int = BOOTSTRAP,
     jobs: int = 1,
     resume: bool = False,
+    quick: bool = False,
     progress: Callable[[str], Progress] | None = None,
 ) -> Analysis:
     """Fit, residuals, posterior, bounds, delays and gap of a campaign, as the command ``analyze``.
@@ -73,6 +76,8 @@ def analyze(
         processes; the numbers do not depend on it.
     resume
         go on with what an interrupted run left in ``out``.
+    quick
+        only fit, residuals and the posterior by a fast sampler; None where that cannot be trusted.
     progress
         called with the name of each step; what it returns is called with a fraction and a word.
         None draws a bar in a notebook.
@@ -102,7 +107,10 @@ def analyze(
     given, overrides = _given(campaign, overrides, priors is not None or noise is not None)
     named = [without] if isinstance(without, str) else list(without)
     own = [effects] if hasattr(effects, "apply") else list(effects)
-    options = {"without": tuple(named), "effects": own, "nominal": nominal, "bootstrap": bootstrap}
+    options: dict[str, Any] = {} if bootstrap == BOOTSTRAP else {"bootstrap": bootstrap}
+    options |= {"without": tuple(named)} if named else {}
+    options |= {"effects": own} if own else {}
+    options |= {} if nominal is None else {"nominal": nominal}
 
     def bar(name: str) -> AbstractContextManager[Progress]:
         return nullcontext((progress or progress_bar)(name))
@@ -117,6 +125,7 @@ def analyze(
         jobs=jobs,
         resume=resume,
         options=options,
+        quick=quick,
         config=None if config is None else Path(config),
         bar=bar,
         command_line=("bayes_sensor.analyze",),

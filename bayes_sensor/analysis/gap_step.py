@@ -2,28 +2,59 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
 from bayes_sensor.analysis.job import Job
-from bayes_sensor.analysis.saved_records import put_record
-from bayes_sensor.campaign import CampaignError
+from bayes_sensor.analysis.saved_records import known_objects, put_record, shortened
+from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.results import Stage
+from bayes_sensor.workers import beside, packed, unpacked
+
+if TYPE_CHECKING:
+    from bayes_sensor.diagnosis import Gap
+    from bayes_sensor.fit import Fit
+
+
+def begin_gap(job: Job, stack: ExitStack) -> None:
+    """Let another process diagnose the gap meanwhile, where there may be one: only the fit is
+    needed.  A user's own effects stay in this process."""
+    if job.jobs < 2 or job.options or "gap" not in job.stages or "gap" in job.done:
+        return
+    if not job.carried("gap"):
+        return
+    given = (job.problem.campaign, job.fit, job.seed, {"jobs": 1})
+    wait = stack.enter_context(beside(_sent, given))
+    # effects and signals are told by identity: this process's own stand in their places
+    job.ahead = lambda: unpacked(wait(), known_objects("gap", job.problem.campaign))
+
+
+def _sent(*given: Any) -> bytes:
+    return packed(shortened("gap", _diagnosed(*given)), known_objects("gap", given[0]))
+
+
+def _options(job: Job) -> dict[str, Any]:
+    return {k: v for k, v in job.options.items() if not k.startswith("with_")}
+
+
+def _diagnosed(campaign: Campaign, fit: Fit, seed: int, options: dict[str, Any]) -> Gap:
+    from bayes_sensor.diagnosis import diagnose_gap
+
+    return diagnose_gap(campaign, fit, seed=seed, **options)
 
 
 def run_gap(job: Job) -> None:
-    from bayes_sensor.diagnosis import diagnose_gap
-
+    """Diagnose the gap, or wait for the process that does."""
     if not job.carried("gap"):
         return
     try:
         with job.timed("gap") as tell:
-            job.gap = diagnose_gap(
-                job.problem.campaign,
-                job.fit,
-                seed=job.seed,
-                jobs=job.jobs,
-                progress=tell,
-                **{k: v for k, v in job.options.items() if not k.startswith("with_")},
-            )
+            if job.ahead is not None:
+                job.gap = job.ahead()
+                return
+            options = _options(job) | {"jobs": job.jobs, "progress": tell}
+            job.gap = _diagnosed(job.problem.campaign, job.fit, job.seed, options)
     except CampaignError as error:
         if job.command != "analyze":
             raise

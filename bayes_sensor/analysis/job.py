@@ -26,6 +26,7 @@ STEPS: dict[str, tuple[str, ...]] = {
     "analyze": (
         "fit",
         "residuals",
+        "fast",
         "posterior",
         "predictive",
         "bounds",
@@ -40,13 +41,24 @@ STEPS: dict[str, tuple[str, ...]] = {
     "gap": ("fit", "gap"),
 }
 SAVES: dict[str, tuple[str, ...]] = {
-    "analyze": ("fit", "residuals", "posterior", "bounds", "delays", "gap", "report"),
+    "analyze": ("fit", "residuals", "fast", "posterior", "bounds", "delays", "gap", "report"),
     "fit": ("fit", "residuals"),
     "posterior": ("posterior",),
     "bounds": ("bounds",),
     "delays": ("delays",),
     "gap": ("gap",),
 }
+STAGES: dict[str, tuple[str, ...]] = {
+    "fit": ("fit", "residuals"),
+    "fast posterior": ("fast",),
+    "posterior": ("posterior", "predictive"),
+    "bounds": ("bounds", "delays"),
+    "gap": ("gap",),
+    "report": ("report",),
+}
+"""of ``analyze``: the steps after which something is said and written"""
+QUICK = ("fit", "fast posterior", "report")
+"""stages of a quick analysis"""
 
 
 def no_bar(name: str) -> AbstractContextManager[Progress]:
@@ -73,6 +85,7 @@ class Job:
     fit: Any = None
     residuals: Any = None
     posterior: Any = None
+    """the best that there is so far"""
     predictive: Any = None
     bounds: Any = None
     delays: Any = None
@@ -85,11 +98,39 @@ class Job:
     """options of single commands: with_effects, without, nominal, effects, bootstrap"""
     compare_published: bool = False
     """whether to compute what concerns the published sensor, whatever the campaign says"""
+    fast: Any = None
+    """posterior by a fast sampler; None where that was given up"""
+    quick: bool = False
+    """whether to end with the fast posterior"""
+    done: list[str] = field(default_factory=list)
+    """steps that are taken, by this run or by one that it continues"""
+    ahead: Callable[[], Any] | None = None
+    """waits for a diagnosis of the gap that another process has begun"""
     bar: Bar = no_bar
     warnings: tuple[str, ...] = ()
     """sentences, what concerns the answer first"""
     muted: Callable[[], AbstractContextManager[None]] = nullcontext
     """keeps what samplers print from the screen"""
+
+    @property
+    def stages(self) -> dict[str, tuple[str, ...]]:
+        """The steps of the command in groups: after each, something is said and written."""
+        steps = [name for name in STEPS[self.command] if not self._is_needless(name)]
+        if self.command != "analyze":
+            return {self.command: tuple(steps)}
+        kept = {
+            stage: tuple(name for name in names if name in steps)
+            for stage, names in STAGES.items()
+            if not self.quick or stage in QUICK
+        }
+        return {stage: names for stage, names in kept.items() if names}
+
+    def _is_needless(self, name: str) -> bool:
+        from bayes_sensor.posterior.samplers import FASTEST
+
+        # the sampler that was asked for is the fast one itself
+        asked = name == "fast" and not self.quick
+        return asked and self.overrides.posterior.sampler == FASTEST
 
     @contextmanager
     def timed(self, name: str) -> Iterator[Progress]:
@@ -122,4 +163,5 @@ class Job:
         """3 where the fit or the posterior has not converged, else 0."""
         bad = self.fit is not None and not self.fit.converged
         bad = bad or (self.posterior is not None and not self.posterior.converged)
+        bad = bad or (self.quick and self.posterior is None)
         return 3 if bad else 0

@@ -14,6 +14,20 @@ from bayes_sensor.io.results import Stage
 LOG = logging.getLogger(__name__)
 
 
+def run_fast(job: Job) -> None:
+    """The posterior by a fast sampler, where that can be trusted."""
+    from bayes_sensor.posterior import fast_posterior
+
+    with job.timed("fast") as tell:
+        job.fast = job.posterior = fast_posterior(
+            job.problem,
+            job.fit,
+            seed=job.seed,
+            settings=job.overrides.sampler_settings(),
+            progress=tell,
+        )
+
+
 def run_posterior(job: Job) -> None:
     from bayes_sensor.posterior import sample_posterior
 
@@ -30,10 +44,11 @@ def run_posterior(job: Job) -> None:
             seed=job.seed,
             sampler=job.overrides.posterior.sampler,
             settings=job.overrides.sampler_settings(),
-            jobs=job.jobs,
+            jobs=job.jobs if job.ahead is None else 1,  # the other process diagnoses the gap
             checkpoint=job.checkpoint,
             resume=job.resume,
             progress=watching(job, tell),
+            begin=job.fast,
         )
         if job.options.get("with_discrepancy"):
             from bayes_sensor.diagnosis.discrepancy_posterior import with_discrepancy

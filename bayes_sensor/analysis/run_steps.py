@@ -6,17 +6,23 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.bounds_step import run_bounds, save_bounds
 from bayes_sensor.analysis.delays_step import run_delays, save_delays
 from bayes_sensor.analysis.fit_step import run_fit, run_residuals, save_fit, save_residuals
-from bayes_sensor.analysis.gap_step import run_gap, save_gap
-from bayes_sensor.analysis.job import CHECKPOINT, SAVES, STEPS, Bar, Job, no_bar
+from bayes_sensor.analysis.gap_step import begin_gap, run_gap, save_gap
+from bayes_sensor.analysis.job import CHECKPOINT, SAVES, Bar, Job, no_bar
 from bayes_sensor.analysis.job_warnings import warnings_of
-from bayes_sensor.analysis.posterior_step import run_posterior, run_predictive, save_posterior
+from bayes_sensor.analysis.pick_up import pick_up
+from bayes_sensor.analysis.posterior_step import (
+    run_fast,
+    run_posterior,
+    run_predictive,
+    save_posterior,
+)
 from bayes_sensor.analysis.put_report import last_step, put_report
 from bayes_sensor.analysis.read_input import check_methods, read_input
 from bayes_sensor.analysis.saved_records import put_campaign
@@ -33,6 +39,7 @@ LOG = logging.getLogger(__name__)
 TAKE: dict[str, Callable[[Job], None]] = {
     "fit": run_fit,
     "residuals": run_residuals,
+    "fast": run_fast,
     "posterior": run_posterior,
     "predictive": run_predictive,
     "bounds": run_bounds,
@@ -72,6 +79,9 @@ def run_steps(
     command_line: Sequence[str] | None = None,
     notes: Callable[[], Sequence[str]] = tuple,
     report: Choice | None = None,
+    quick: bool = False,
+    begun: Callable[[Job], None] = lambda job: None,
+    finished: Callable[[str, Job], None] = lambda stage, job: None,
 ) -> Job:
     """Take the steps of ``command`` and write what it saves into ``results``, if there are any.
 
@@ -90,6 +100,11 @@ def run_steps(
         for run.json: what was typed, and what was said meanwhile.
     report
         what the report of ``analyze`` shall hold.
+    quick
+        whether ``analyze`` ends with the fast posterior and a report of it.
+    begun, finished
+        called before the first stage (:attr:`Job.stages`), and after each with its name, when its
+        results are in place.
 
     Raises
     ------
@@ -119,20 +134,40 @@ def run_steps(
     job = Job(
         command, problem, overrides, label, seed, jobs, quiet, resume, results,
         digest(_campaign_json(campaign), overrides.basis()), {"read": read_seconds},
-        options=options or {}, bar=bar, muted=muted,
+        options=options or {}, quick=quick, bar=bar, muted=muted,
         compare_published=report is not None and report.compare_published,
     )  # fmt: skip
+    files = _files(campaign, config)
     if results is None:
-        _take(job)
+        begun(job)
+        for stage, names in job.stages.items():
+            if stage != "report":
+                _take(job, names)
+                finished(stage, job)
         job.warnings = tuple(warnings_of(job, remarks))
         return job
-    files = _files(campaign, config)
-    with results.locked(patience):
+    with results.locked(patience), ExitStack() as stack:
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
-        _take(job)
+        staged = pick_up(job)
+        begun(job)
+        stages, unsaved = job.stages, list[str]()
+        last = [stage for stage in stages if stage != "report"][-1]
+        for stage, names in stages.items():
+            new = [name for name in names if name not in job.done]
+            if stage == "posterior" and command == "analyze":
+                begin_gap(job, stack)
+            _take(job, new)
+            unsaved += [name for name in new if name in SAVES[command]]
+            if stage == "report":
+                put_last(job, results, report)
+            elif unsaved and (staged or stage == last):
+                job.warnings = tuple(warnings_of(job, remarks))
+                parts = unsaved if staged else None
+                write_results(job, results, clock, files, command_line, notes, parts)
+                unsaved = []
+            finished(stage, job)
         job.warnings = tuple(warnings_of(job, remarks))
-        write_results(job, results, clock, files, command_line, notes, report)
-        if job.exit_code == 0 and job.posterior is not None:
+        if job.exit_code == 0 and not job.quick and job.posterior is not None:
             shutil.rmtree(results.path(CHECKPOINT), ignore_errors=True)
     return job
 
@@ -144,18 +179,25 @@ def write_results(
     files: Mapping[str, str] | None = None,
     command_line: Sequence[str] | None = None,
     notes: Callable[[], Sequence[str]] = tuple,
-    report: Choice | None = None,
+    parts: Sequence[str] | None = None,
 ) -> None:
-    """Write what a job has found into a folder that is held, then the report if it has one.
+    """Write what a job has found into a folder that is held.
 
-    ``files``: hashes of the input by name; ``notes``: what was said meanwhile.
+    ``files``: hashes of the input by name; ``notes``: what was said meanwhile; ``parts``: the
+    results to write, all where there are none.
     """
     campaign, command = job.problem.campaign, job.command
     record = _campaign_json(campaign)
+    # the fast posterior is the posterior until there is another
+    chosen = {
+        "posterior" if name == "fast" else name: None
+        for name in (SAVES[command] if parts is None else parts)
+    }
     with results.writing() as stage:
         stage.json("campaign.json", record)
-        put_campaign(stage, job.problem)
-        for name in SAVES[command]:
+        if command != "analyze" or "fit" in chosen:
+            put_campaign(stage, job.problem)
+        for name in chosen:
             if name in SAVE and (getattr(job, name) is not None or name in DROPPED):
                 SAVE[name](job, stage)
         put_run(
@@ -171,13 +213,17 @@ def write_results(
             exit_code=job.exit_code,
             warnings=[*job.warnings, *notes()],
             command_line=command_line,
+            steps=job.done if command == "analyze" else None,
             signal_unit=campaign.signal_unit,
         )
         if "report" in SAVES[command]:
             stage.drop.append("report.html")  # it speaks of other results
-    if "report" in SAVES[command]:  # all else is in place by now, whatever becomes of it
-        with job.timed("report") as tell, last_step(results):
-            put_report(results, tell, report)
+
+
+def put_last(job: Job, results: Results, report: Choice | None = None) -> None:
+    """Make the report; all else is in place by now, whatever becomes of it."""
+    with job.timed("report") as tell, last_step(results):
+        put_report(results, tell, report)
 
 
 def _campaign_json(campaign: Campaign) -> dict[str, Any]:
@@ -185,10 +231,11 @@ def _campaign_json(campaign: Campaign) -> dict[str, Any]:
     return campaign_record(campaign, remarks, table)
 
 
-def _take(job: Job) -> None:
-    for name in STEPS[job.command]:
+def _take(job: Job, names: Sequence[str]) -> None:
+    for name in names:
         if name in TAKE:
             TAKE[name](job)
+            job.done.append(name)
 
 
 def _files(campaign: Campaign, config: Path | None) -> dict[str, str]:

@@ -13,7 +13,7 @@ from bayes_sensor.io.results import Results
 
 def save_findings(analysis: Findings, folder: Path) -> Path:
     """Write what there is of an analysis, with the report of it; the folder."""
-    from bayes_sensor.analysis.run_steps import write_results
+    from bayes_sensor.analysis.run_steps import put_last, write_results
 
     results = Results(folder)
     bounds = None if analysis.bounds is None else (analysis.bounds, analysis.bounds_json)
@@ -26,6 +26,7 @@ def save_findings(analysis: Findings, folder: Path) -> Path:
     job.warnings = analysis.warnings
     with results.locked():
         write_results(job, results, command_line=("Analysis.save",))
+        put_last(job, results)
     return folder
 
 

@@ -56,10 +56,9 @@ def put_record(stage: Stage, part: str, record: Any, campaign: Campaign) -> None
     """Put a record; where there is none, or it holds a user's own code, drop that of earlier."""
     name = file_of(part)
     if record is not None:
-        shorter = _SHORTER.get(part, lambda each: each)(record)
-        content = {"data": data_digest(campaign), "record": shorter}
+        content = {"data": data_digest(campaign), "record": shortened(part, record)}
         try:
-            save_record(stage.path(name), content, _known(part, campaign))
+            save_record(stage.path(name), content, known_objects(part, campaign))
         except TypeError:
             stage.path(name).unlink(missing_ok=True)
         else:
@@ -67,7 +66,12 @@ def put_record(stage: Stage, part: str, record: Any, campaign: Campaign) -> None
     stage.drop.append(name)
 
 
-def _known(part: str, campaign: Campaign) -> dict[str, Any]:
+def shortened(part: str, record: Any) -> Any:
+    """A record without what was needed on the way to it."""
+    return _SHORTER.get(part, lambda each: each)(record)
+
+
+def known_objects(part: str, campaign: Campaign) -> dict[str, Any]:
     """Objects by name that reader and writer both have: the data; effects and signals."""
     known: dict[str, Any] = {"experiments": campaign.experiments}
     if part == "gap":
@@ -99,7 +103,7 @@ def read_record(folder: Path, part: str, campaign: Campaign, data: str) -> Any:
     path = folder / file_of(part)
     if not path.is_file():
         return None
-    found = load_record(path, part, _known(part, campaign))
+    found = load_record(path, part, known_objects(part, campaign))
     if not isinstance(found, dict) or "record" not in found:
         raise CampaignError(
             f"{path}: expected a saved {part}, but it holds something else; run the command that "

@@ -14,6 +14,7 @@ import typer
 
 from bayes_sensor.cli.application import app
 from bayes_sensor.cli.options import (
+    DEFAULT_JOBS,
     CampaignFile,
     Jobs,
     Quiet,
@@ -38,11 +39,27 @@ def _run(command: str, common: Run, **more: Any) -> None:
     raise typer.Exit(run_command(command, given_to_all.pop("campaign"), **given_to_all, **more))
 
 
+@dataclass(frozen=True)
+class AnalyzeRun(Run):
+    """The same, on both of two cores."""
+
+    jobs: Jobs = DEFAULT_JOBS
+
+
 @app.command()
 @with_groups
-def analyze(run: Run, sampling: Sampling, reported: Reported) -> None:
+def analyze(
+    run: AnalyzeRun,
+    sampling: Sampling,
+    reported: Reported,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Only fit, fast posterior and a short report."),
+    ] = False,
+) -> None:
     """Everything from the fit to the gap, with report and figures."""
-    _run("analyze", run, posterior=sampling.settings, report=reported.choice(jobs=run.jobs))
+    choice = reported.choice(jobs=run.jobs)
+    _run("analyze", run, posterior=sampling.settings, report=choice, quick=quick)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ spells the group out for the parser.
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
@@ -14,6 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""that this process may use"""
+DEFAULT_JOBS = min(2, CORES)
+"""processes of a whole analysis: one diagnoses the gap while the other samples"""
 
 CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign's file.")]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")]

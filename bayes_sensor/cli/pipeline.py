@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bayes_sensor.analysis.job import Progress
 from bayes_sensor.analysis.run_steps import run_steps
 from bayes_sensor.cli.logged_notes import noted
+from bayes_sensor.cli.stage_lines import StageLines
 from bayes_sensor.cli.summary_lines import print_summary
 from bayes_sensor.cli.terminal import muted, progress_bar
 from bayes_sensor.io.results import Results
@@ -31,13 +32,14 @@ def run_command(
     posterior: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     report: Choice | None = None,
+    quick: bool = False,
     patience: float = 0.0,
     command_line: Sequence[str] | None = None,
 ) -> int:
     """Run a command and write its results; the exit code.
 
-    ``report``: what the report of ``analyze`` shall hold; ``patience``: seconds to wait for another
-    run that holds ``out``.
+    ``report``: what the report of ``analyze`` shall hold; ``quick``: whether it ends with the fast
+    posterior; ``patience``: seconds to wait for another run that holds ``out``.
     """
     from bayes_sensor.analysis.overrides import read_overrides
 
@@ -46,6 +48,7 @@ def run_command(
 
     label = config.name if config is not None else "--config"
     results = Results(out)
+    lines = StageLines(results)
     job = run_steps(
         command,
         campaign_path,
@@ -64,6 +67,9 @@ def run_command(
         report=report,
         command_line=command_line,
         notes=noted,
+        quick=quick,
+        begun=lines.begun,
+        finished=lines.finished,
     )
     print_summary(job, results)
     return job.exit_code

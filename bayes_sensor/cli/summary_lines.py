@@ -8,7 +8,6 @@ from typing import Any
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.job_warnings import decisive
 from bayes_sensor.cli.terminal import say
-from bayes_sensor.diagnosis.how_far_words import how_far_lines
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.run_record import of_other_data
 
@@ -21,8 +20,9 @@ def print_summary(job: Job, results: Results) -> None:
     from bayes_sensor.report import chain_words, headline, number
 
     command, quiet, code = job.command, job.quiet, job.exit_code
-    for sentence in decisive(job):
-        say(f"warning: {sentence}", quiet)
+    if command != "analyze":  # which has said them before the stage that they concern
+        for sentence in decisive(job):
+            say(f"warning: {sentence}", quiet)
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
         record = None if job.posterior is None else job.posterior.to_json()
@@ -34,14 +34,9 @@ def print_summary(job: Job, results: Results) -> None:
             if record is not None and not found.hidden:
                 say(chain_words(record), quiet)
     if command == "fit":
-        unit = job.fit.signal_unit
-        say(
-            f"{_lags_of_fit(job.fit)}; RMS residual {number(job.fit.rms)} {unit} (intervals: "
-            "bounds or posterior)",
-            quiet,
-        )
-    if command in ("fit", "analyze") and job.fit.n_lags is not None:
-        say(f"lags: {job.fit.n_lags.sentence}", quiet)
+        say(f"{fit_words(job.fit)} (intervals: bounds or posterior)", quiet)
+        if job.fit.n_lags is not None:
+            say(f"lags: {job.fit.n_lags.sentence}", quiet)
     if command == "delays":
         for side in ("start", "end"):
             line = getattr(job.delays, side)
@@ -55,11 +50,12 @@ def print_summary(job: Job, results: Results) -> None:
             elif line is not None:
                 say(f"{side}: {line.status}", quiet)
     if job.gap is not None:
-        say(f"gap: {job.gap.verdict.sentence}", quiet)
+        from bayes_sensor.diagnosis.how_far_words import how_far_lines
+
+        if command == "gap":
+            say(f"gap: {job.gap.verdict.sentence}", quiet)
         for line in how_far_lines(job.gap.to_json()):
             say(line, quiet)
-    elif job.no_gap:
-        say(f"not diagnosed: {job.no_gap}", quiet)
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")
     said = set(decisive(job))
@@ -70,8 +66,7 @@ def print_summary(job: Job, results: Results) -> None:
         place = "the report" if command == "analyze" else "run.json"
         say(f"warning: {len(warnings) - MOST_WARNINGS} more in {place}", quiet)
     if code == 3:
-        status = job.fit.status if not job.fit.converged else job.posterior.convergence
-        hint = "" if not job.fit.converged else "; more --steps with --resume may help"
+        status, hint = _unconverged(job)
         status = status.removeprefix("NOT converged: ").rstrip(".")  # a part of the sentence
         print(f"not converged: {status}{hint}; the results are marked so", file=sys.stderr)
     other = of_other_data(results.json("run.json"))
@@ -81,8 +76,27 @@ def print_summary(job: Job, results: Results) -> None:
             "settings; run them again, or use another --out",
             quiet,
         )
-    where = results.path("report.html") if command == "analyze" else results.folder
-    say(f"{'report' if command == 'analyze' else 'results'}: {where}", quiet)
+    if command != "analyze":
+        say(f"results: {results.folder}", quiet)
+
+
+def _unconverged(job: Job) -> tuple[str, str]:
+    """What was not reached, and what may help."""
+    if not job.fit.converged:
+        return job.fit.status, ""
+    if job.posterior is None:
+        return (
+            "no fast posterior, because no fast sampler can be trusted here",
+            "; go on with --resume and without --quick",
+        )
+    return job.posterior.convergence, "; more --steps with --resume may help"
+
+
+def fit_words(fit: Any) -> str:
+    """The fitted lags and volume, and what is left of the signal."""
+    from bayes_sensor.report import number
+
+    return f"{_lags_of_fit(fit)}; RMS residual {number(fit.rms)} {fit.signal_unit}"
 
 
 def _lags_of_fit(fit: Any) -> str:

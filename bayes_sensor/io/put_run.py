@@ -37,11 +37,13 @@ def put_run(
     files: Mapping[str, str] | None = None,
     basis: str = "",
     command_line: Sequence[str] | None = None,
+    steps: Sequence[str] | None = None,
     **more: Any,
 ) -> None:
     """Put run.json with the entry of this command beside those of earlier ones.
 
-    ``seconds``: by part, where that is not the whole command.  What rests on no data (a simulation,
+    ``seconds``: by part, where that is not the whole command; ``steps``: those that are done, of a
+    command that writes as it goes on.  What rests on no data (a simulation,
     a design) has no ``basis``.  ``more`` stands at the top.
     """
     entry = run_record(
@@ -49,5 +51,6 @@ def put_run(
         campaign=campaign, files=files or {}, started=clock.started,
         seconds={command: clock.seconds} if seconds is None else seconds,
         exit_code=exit_code, warnings=warnings, command_line=command_line,
+        steps=steps,
     )  # fmt: skip
     stage.json("run.json", {**entry, **more})

@@ -102,10 +102,12 @@ def run_record(
     exit_code: int,
     warnings: Sequence[str],
     command_line: Sequence[str] | None = None,
+    steps: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """The content of ``run.json`` after a command: one entry per command, the newest of each.
 
-    ``command_line``: where it is not that of this process.
+    ``command_line``: where it is not that of this process; ``steps``: those that are done, of a
+    command that writes as it goes on.
     """
     commands = dict(earlier.get("commands", {})) if isinstance(earlier, Mapping) else {}
     commands[command] = {
@@ -123,5 +125,6 @@ def run_record(
         "platform": f"{platform.system()} {platform.machine()}",
         "command_line": list(command_line or ["bayes-sensor", *sys.argv[1:]]),
         "warnings": list(warnings),
+        **({} if steps is None else {"steps": list(steps)}),
     }
     return {"version": RUN_VERSION, "last": command, "commands": commands}

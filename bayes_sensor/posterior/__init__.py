@@ -13,7 +13,7 @@ one ensemble are not independent chains).
 
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.posterior import Posterior
-from bayes_sensor.posterior.sample import sample_posterior
+from bayes_sensor.posterior.sample import fast_posterior, sample_posterior
 from bayes_sensor.posterior.samplers import FASTEST, SAMPLERS, Run, Sampler, Target
 from bayes_sensor.posterior.save_draws import load_chains
 from bayes_sensor.posterior.settings import Progress, Settings
@@ -29,6 +29,7 @@ __all__ = [
     "Sampler",
     "Settings",
     "Target",
+    "fast_posterior",
     "load_chains",
     "sample_posterior",
 ]

@@ -78,9 +78,14 @@ class Checkpoint:
 
 
 def digest(
-    problem: Problem, start: FloatArray, settings: Settings, seed: int, fineness: float
+    problem: Problem,
+    start: FloatArray,
+    settings: Settings,
+    seed: int,
+    fineness: float,
+    begin: FloatArray | None = None,
 ) -> str:
-    """Digest of a run: data, model, priors, start, settings, seed and mesh.
+    """Digest of a run: data, model, priors, start, settings, seed, mesh and draws to begin from.
 
     The stopping rule is left out, so a run that was too short continues where it ended.
     """
@@ -90,6 +95,8 @@ def digest(
         hasher.update(np.ascontiguousarray(e.values[e.used]).tobytes())
         hasher.update(repr((e.name, e.interval, e.total_flow, e.concentration)).encode())
     hasher.update(np.ascontiguousarray(start).tobytes())
+    if begin is not None:
+        hasher.update(np.ascontiguousarray(begin).tobytes())
     hasher.update(repr((problem.noise, problem.model, sorted(problem.priors.items()))).encode())
     hasher.update(repr((problem.assignments, sorted(problem.named_laws.items()))).encode())
     hasher.update(repr((settings, seed, fineness)).encode())

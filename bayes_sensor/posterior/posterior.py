@@ -19,6 +19,7 @@ from bayes_sensor.rig.response_times import response_times
 if TYPE_CHECKING:
     import pandas as pd
 
+from bayes_sensor.posterior.agreement import Agreement
 from bayes_sensor.posterior.draws import Draws, percentiles
 from bayes_sensor.posterior.prior_sensitivity import tau_under_priors
 from bayes_sensor.posterior.save_draws import save_posterior, to_inference_data
@@ -34,11 +35,16 @@ QUANTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 class Posterior(Draws):
     """Draws of theta with their diagnostics, and what they say."""
 
+    agreement: Agreement | None = None
+    """with the draws that the sampler began from, if it was given any"""
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings, in sentences."""
         found = [*self.caveats, *([] if self.converged else [self.convergence]), *self.remarks]
         found += self.doubts
+        if self.agreement is not None and not self.agreement.agrees:
+            found.append(self.agreement.sentence(self.sampler))
         found += self._of_names()
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
@@ -176,6 +182,7 @@ class Posterior(Draws):
             "doubts": list(self.doubts),
             "sampler": self.sampler,
             "reasons": list(self.reasons),
+            "began_from": None if self.agreement is None else self.agreement.to_json(),
             "caveats": list(self.caveats),
             "warnings": list(self.warnings),
             "k_hat": plain(self.k_hat),

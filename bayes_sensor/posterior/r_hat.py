@@ -25,11 +25,27 @@ def diagnostics(chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     flat = draws.reshape(len(draws), -1)
     split = _split(draws)
     scores = _normal_scores(split)
-    folded = np.abs(split - np.median(split, axis=(1, 2), keepdims=True))
-    r_hat = np.maximum(_r_hat(scores), _r_hat(_normal_scores(folded)))
+    r_hat = np.maximum(_r_hat(scores), _r_hat(_normal_scores(_folded(split))))
     low, high = np.quantile(flat, [0.05, 0.95], axis=1)[:, :, None, None]
     tails = [_effective(_split((draws <= level).astype(float))) for level in (low, high)]
     return r_hat, _effective(scores), np.minimum(*tails)
+
+
+def r_hat_of_whole(chains: FloatArray) -> FloatArray:
+    """Rank R-hat (n_parameters,) of chains (n_chain, n_draw, n_parameters) that are not cut in two.
+
+    For draws whose order says nothing: sets of them are compared with each other.
+    """
+    draws = np.ascontiguousarray(np.moveaxis(chains, -1, 0))
+    scores = _normal_scores(draws)
+    found: FloatArray = np.maximum(_r_hat(scores), _r_hat(_normal_scores(_folded(draws))))
+    return found
+
+
+def _folded(draws: FloatArray) -> FloatArray:
+    """Distances from the median of all chains: what they say is about spread."""
+    found: FloatArray = np.abs(draws - np.median(draws, axis=(1, 2), keepdims=True))
+    return found
 
 
 def _split(draws: FloatArray) -> FloatArray:

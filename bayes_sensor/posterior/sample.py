@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -16,11 +16,13 @@ from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.identifiability import cannot_tell
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem, as_problem
+from bayes_sensor.posterior.agreement import Agreement, r_hat_between
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, diagnose
 from bayes_sensor.posterior.laplace import approximate
 from bayes_sensor.posterior.posterior import Posterior
 from bayes_sensor.posterior.samplers import (
     DEFAULT,
+    FASTEST,
     SAMPLERS,
     TAKE_OVER,
     Run,
@@ -48,6 +50,7 @@ def sample_posterior(
     resume: bool = False,
     progress: Progress | None = None,
     with_effect: Iterable[Any] = (),
+    begin: Posterior | None = None,
 ) -> Posterior:
     """Draws from the posterior of every parameter, with ``converged`` and ``status``.
 
@@ -66,6 +69,9 @@ def sample_posterior(
         and gives the chain that an uninterrupted run would have given.
     with_effect
         objects whose ``apply(problem)`` returns a changed Problem, applied in this order.
+    begin
+        a converged posterior of the same problem by another sampler: emcee begins from its draws,
+        drops none of its own, and says whether it agrees with them (``agreement``).
 
     Raises
     ------
@@ -73,13 +79,53 @@ def sample_posterior(
         For a design, an unknown sampler, a malformed start, or data that allow no interval at all:
         too few samples, one level only, no noise.
     """
-    started = perf_counter()
     problem = as_problem(campaign)
     for effect in with_effect:
         problem = effect.apply(problem)
-    settings = settings or Settings()
     if sampler not in SAMPLERS:
         raise CampaignError(f"sampler must be one of {', '.join(SAMPLERS)}, but is '{sampler}'")
+    found = _sampled(
+        problem, fit, seed, _replaced, SAMPLERS[sampler], settings or Settings(), jobs,
+        None if checkpoint is None else Path(checkpoint), resume, progress, begin,
+    )  # fmt: skip
+    assert found is not None  # the last of the samplers takes anything
+    return found
+
+
+@one_thread
+def fast_posterior(
+    campaign: Campaign | Problem,
+    fit: Any = None,
+    seed: int = 1,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+) -> Posterior | None:
+    """Draws by independence Metropolis, else by Hamiltonian Monte Carlo; None where both were given
+    up.
+
+    Parameters and errors as of :func:`sample_posterior`, which then takes emcee.
+    """
+    return _sampled(
+        as_problem(campaign), fit, seed, _fast, SAMPLERS[FASTEST], settings or Settings(),
+        progress=progress,
+    )  # fmt: skip
+
+
+def _sampled(
+    problem: Problem,
+    fit: Any,
+    seed: int,
+    run_by: Callable[[Sampler, Target], tuple[str, Run, list[str]]],
+    chosen: Sampler,
+    settings: Settings,
+    jobs: int = 1,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    begin: Posterior | None = None,
+) -> Posterior | None:
+    """The posterior as ``run_by`` draws it; None where that draws nothing good."""
+    started = perf_counter()
     if problem.campaign.is_design:
         raise CampaignError("a design has no data to condition on; simulate or measure it first")
     report = progress or (lambda fraction, text: None)
@@ -98,12 +144,16 @@ def sample_posterior(
     start, both = likelier_order(problem, start)
     report(0.0, "Laplace approximation")
     laplace, compressed = approximate(problem, start)
+    usable = begin is not None and begin.converged and begin.layout.names == problem.layout.names
+    chains = begin.chains if begin is not None and usable else None
     for _ in range(MESHES):
         target = Target(
             problem, start, laplace, compressed, settings, seed, np.random.SeedSequence(seed),
-            report, jobs, None if checkpoint is None else Path(checkpoint), resume, both,
+            report, jobs, checkpoint, resume, chains, both,
         )  # fmt: skip
-        drew, run, reasons = _run(SAMPLERS[sampler], target)
+        drew, run, reasons = run_by(chosen, target)
+        if not run.good:
+            return None
         compressed = run.compressed or compressed
         draws = run.chains.reshape(-1, len(problem.layout))
         few = draws[:: max(1, len(draws) // 6)][:6]
@@ -111,6 +161,15 @@ def sample_posterior(
         if error <= MESH_ERROR_LIMIT:
             break
         compressed = compressed.accurate(few, MESH_ERROR_LIMIT)
+    agreement = None
+    if begin is not None and chains is not None:
+        between = run.between
+        if between is None:
+            between = r_hat_between(problem, chains, run.chains)
+        local = begin.names[begin.layout.n_shared :]
+        rows = {name: row for name, row in begin.rows.items() if name not in local}
+        agreement = Agreement(begin.sampler, between, rows)
+        reasons.append(agreement.sentence(drew))
     chains = run.chains
     r_hat, bulk, tail = run.diagnosis or diagnose(problem, chains)
     n_chain, n_draw, n_theta = chains.shape
@@ -137,10 +196,19 @@ def sample_posterior(
         hidden_by_sampling=getattr(fit, "hidden_by_sampling", None),
         remarks=(f"{twin}; the draws are about one of the two",) if twin else (),
         doubts=tuple(text for text in [noise_doubt(problem, start)] if text),
+        agreement=agreement,
     )
 
 
-def _run(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
+def _fast(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
+    """As :func:`_replaced`, without the last and slowest; no good where two orders of lags are both
+    likely, which the fast ones do not exchange."""
+    if target.both is not None:
+        return chosen.name, Run(np.empty((0, 0, 0)), False, "", 0.0), []
+    return _first_good([chosen, *TAKE_OVER[:-1]], target, [])
+
+
+def _replaced(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
     """The name and the draws of ``chosen``, or of its replacement, and the reasons in sentences."""
     reasons: list[str] = []
     if target.both is not None:
@@ -148,10 +216,17 @@ def _run(chosen: Sampler, target: Target) -> tuple[str, Run, list[str]]:
             "valve and manifold may be either way round by data and priors: ensembles exchange them"
         )
         chosen = chosen if chosen.exchanges_orders else TAKE_OVER[-1]
-    run = chosen.run(target)
-    reasons.append(run.reason)
     later = TAKE_OVER[TAKE_OVER.index(chosen) + 1 :] if chosen in TAKE_OVER else TAKE_OVER
-    for other in later:
+    return _first_good([chosen, *later], target, reasons)
+
+
+def _first_good(
+    samplers: Sequence[Sampler], target: Target, reasons: list[str]
+) -> tuple[str, Run, list[str]]:
+    """The name and the draws of the first that is not given up, or of the last, with reasons."""
+    chosen, run = samplers[0], samplers[0].run(target)
+    reasons.append(run.reason)
+    for other in samplers[1:]:
         if run.good:
             break
         # where the Laplace approximation has no overlap with the priors, its scales mislead

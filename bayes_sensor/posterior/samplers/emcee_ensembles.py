@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from bayes_sensor.likelihood.density import is_affine
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior.agreement import r_hat_between
 from bayes_sensor.posterior.checkpoints import Checkpoint, digest
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, enough
 from bayes_sensor.posterior.laplace import Laplace
@@ -130,22 +132,26 @@ def run_emcee(given: Target) -> Run:
     target = Marginal(problem, given.compressed, marginalise=flat, both=given.both)
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
-    identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness)
+    begin = given.begin
+    identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness, begin)
     store = Checkpoint(given.checkpoint, identity, given.resume)
     begins = []
     for j in range(settings.n_chains):
         rng = np.random.default_rng(np.random.SeedSequence([seed, j]))
-        points = _start(target, given.laplace, n_walkers, rng)
+        points = _start(target, given.laplace, n_walkers, rng, _of_chain(begin, j))
         begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
     target.cover(np.concatenate([begin[0] for begin in begins]))
     saved = [store.read(j) for j in range(settings.n_chains)]
     chains: list[list[FloatArray]] = [[] for _ in saved]
     acceptance: list[list[float]] = [[] for _ in saved]
     states: list[Any] = list(begins)
+    # who begins from draws of the posterior has nothing to settle, unless it turns out otherwise
+    burn_in = settings.burn_in if begin is None else 0
     while True:
         # short chunks at first: the mesh follows the walkers while they settle
         i = len(chains[0])
-        n_steps = SETTLING if i < settings.burn_in // SETTLING else settings.chunk
+        settles = begin is None and i < settings.burn_in // SETTLING
+        n_steps = SETTLING if settles else settings.chunk
         # a resumed run takes the steps that it finds, sees the meshes and the looks at convergence
         # that the uninterrupted one saw, and so ends where that would have ended
         todo = [j for j, chunks in enumerate(saved) if i >= len(chunks)]
@@ -161,13 +167,15 @@ def run_emcee(given: Target) -> Run:
         target.cover(np.concatenate([chain[i][-1] for chain in chains]))
         steps = sum(len(c) for c in chains[0])
         given.report(min(0.95, steps / settings.max_steps), f"emcee, {steps} steps")
-        if steps < settings.burn_in + 2 * settings.chunk:
+        if steps < burn_in + 2 * settings.chunk:
             continue
-        thinned = [np.concatenate(chain)[settings.burn_in :: settings.thin] for chain in chains]
+        thinned = [np.concatenate(chain)[burn_in :: settings.thin] for chain in chains]
         # walkers end to end: each walker's own autocorrelation is what ESS must see
         stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
         thetas = target.thetas(stacked.reshape(-1, n_dim))
-        full = steps >= settings.max_steps or hopeless(stacked, steps, settings)
+        full = steps >= settings.max_steps or hopeless(
+            stacked, steps, replace(settings, burn_in=burn_in)
+        )
         quick = stacked[:, :, : min(n_dim, 3)]
         r_hat, bulk, _ = diagnostics(quick)
         if not full and not (np.all(r_hat < R_HAT_LIMIT) and np.all(bulk > settings.target_ess)):
@@ -175,15 +183,25 @@ def run_emcee(given: Target) -> Run:
         rng = np.random.default_rng(np.random.SeedSequence([seed, 10**6, steps]))
         drawn = target.redraw(thetas, rng).reshape(*stacked.shape[:2], -1)
         done, found = enough(problem, drawn, settings.target_ess)
+        between = None
+        if begin is not None:
+            between = r_hat_between(problem, begin, later_half(drawn, thinned[0].shape[1]))
+            left = not np.nanmax(between) < R_HAT_LIMIT
+            if left and burn_in < settings.burn_in and not full:
+                burn_in = settings.burn_in
+                continue
         if full or done:
             rate = float(np.mean([np.mean(a) for a in acceptance]))
             how = "y0 and beta integrated out exactly and redrawn" if flat else "all parameters"
             reason = (
                 f"emcee: {settings.n_chains} independent ensembles of {n_walkers} walkers, "
-                f"{steps} steps ({settings.burn_in} dropped), {how}; acceptance {rate:.2f}; "
+                f"{steps} steps ({burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            return Run(drawn, True, reason, rate, diagnosis=found, compressed=target.compressed)
+            return Run(
+                drawn, True, reason, rate, diagnosis=found, compressed=target.compressed,
+                between=between,
+            )  # fmt: skip
 
 
 def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
@@ -197,6 +215,18 @@ def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
     return bool(np.nanmin(bulk) * settings.max_steps / steps < 0.5 * ESS_LIMIT)
 
 
+def later_half(drawn: FloatArray, n_walkers: int) -> FloatArray:
+    """The later half of every walker's draws; ``drawn`` (n_chain, n_draw, n), walkers end to
+    end."""
+    each = drawn.reshape(len(drawn), n_walkers, -1, drawn.shape[-1])
+    return each[:, :, each.shape[2] // 2 :]
+
+
+def _of_chain(begin: FloatArray | None, j: int) -> FloatArray | None:
+    """Draws (n, n_theta) for ensemble ``j``: those of a chain of its own, as far as there are."""
+    return None if begin is None else begin[j % len(begin)]
+
+
 def _advance(
     target: Marginal, states: list[Any], n_steps: int, jobs: int
 ) -> list[tuple[FloatArray, Any, float]]:
@@ -206,10 +236,24 @@ def _advance(
     return found
 
 
-def _start(target: Marginal, laplace: Laplace, n: int, rng: np.random.Generator) -> FloatArray:
-    """(n, n_dim) walkers of finite density: draws of the Laplace approximation where the priors
-    allow them, else draws pulled towards its maximum, else draws moved into the priors."""
+def _start(
+    target: Marginal,
+    laplace: Laplace,
+    n: int,
+    rng: np.random.Generator,
+    given: FloatArray | None = None,
+) -> FloatArray:
+    """(n, n_dim) walkers of finite density: draws that are ``given`` (.., n_theta), draws of the
+    Laplace approximation where the priors allow them, else draws pulled towards its maximum, else
+    draws moved into the priors."""
     found = np.empty((0, len(target.kept)))
+    if given is not None:
+        # a Metropolis chain repeats draws, and walkers at one place span nothing
+        points = np.unique(target.points(given), axis=0)
+        found = rng.permutation(points)[:n]
+        found = found[np.isfinite(target(found))]
+        if len(found) == n:
+            return found
     centre = target.points(laplace.theta[None])
     shrink = 1.0
     for _ in range(60):

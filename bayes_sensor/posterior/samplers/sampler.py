@@ -36,6 +36,8 @@ class Target:
     checkpoint: Path | None = None
     """folder for an unfinished run"""
     resume: bool = False
+    begin: FloatArray | None = None
+    """(n_chain, n_draw, n_theta) draws of the same posterior to begin from"""
     both: float | None = None
     """flow (mL/s) at which tau_v and V/Q swap, where both orders are likely; else None"""
 
@@ -58,6 +60,8 @@ class Run:
     """(n_chain, n_draw, n_experiment) where the sampler has kept it"""
     compressed: Compressed | None = None
     """the mesh at the end, if it changed"""
+    between: FloatArray | None = None
+    """(n_theta,) R-hat between the draws that it began from and its own, if it compares them"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,97 @@
+"""emcee that begins from the draws of another sampler: it agrees, or says that it does not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior import (
+    R_HAT_LIMIT,
+    Posterior,
+    Settings,
+    fast_posterior,
+    sample_posterior,
+)
+from bayes_sensor.posterior.agreement import r_hat_between
+from tests.support.campaigns import small_problem
+
+SETTINGS = Settings(n_chains=2)
+
+
+@cache
+def drawn() -> tuple[Problem, np.ndarray, Posterior]:
+    problem, theta = small_problem(sigma=0.004, n=3, interval=0.01)
+    fast = fast_posterior(problem, theta, seed=5, settings=SETTINGS)
+    assert fast is not None and fast.converged and fast.sampler == "independence"
+    return problem, theta, fast
+
+
+def steps(posterior: Posterior) -> tuple[int, int]:
+    """All steps and those dropped, as the reason says."""
+    words = posterior.reasons[0].split(" walkers, ")[1].split()
+    return int(words[0]), int(words[2].strip("("))
+
+
+def test_emcee_from_the_fast_draws_agrees_and_drops_none() -> None:
+    problem, theta, fast = drawn()
+    slow = sample_posterior(problem, theta, seed=5, settings=SETTINGS, begin=fast)
+    assert slow.converged and slow.sampler == "emcee"
+    assert slow.agreement is not None and slow.agreement.agrees
+    assert not [text for text in slow.warnings if "does not agree" in text]
+    # an independent run, which begins from the Laplace approximation
+    alone = sample_posterior(problem, theta, seed=6, settings=SETTINGS)
+    assert steps(slow)[1] == 0 and steps(slow)[0] < steps(alone)[0]
+    assert alone.agreement is None and alone.to_json()["began_from"] is None
+    ess = [np.minimum(p.ess_bulk, p.ess_tail) for p in (slow, alone, fast)]
+    for other, effective in ((alone, ess[1]), (fast, ess[2])):
+        error = slow.draws.std(axis=0) * np.sqrt(1 / ess[0] + 1 / effective)
+        # 4.5 sd of the difference of two means, for a dozen parameters
+        z = np.abs(slow.draws.mean(axis=0) - other.draws.mean(axis=0)) / error
+        assert np.nanmax(z) < 4.5
+    told = slow.to_json()["began_from"]
+    assert told["agrees"] and told["r_hat"] < R_HAT_LIMIT
+    assert told["parameters"]["tau_s"] == pytest.approx(fast.rows["tau_s"])
+    assert any("began from draws of independence and agrees" in text for text in slow.reasons)
+
+
+def test_a_wrong_start_is_found_out_and_left_behind() -> None:
+    problem, theta, fast = drawn()
+    chains = fast.chains.copy()
+    tau_v = problem.layout.index("tau_v_s")
+    chains[:, :, tau_v] += 2.0 * fast.draws[:, tau_v].std()
+    wrong = replace(fast, chains=chains)
+    slow = sample_posterior(problem, theta, seed=5, settings=SETTINGS, begin=wrong)
+    assert slow.agreement is not None and not slow.agreement.agrees
+    assert np.nanargmax(slow.agreement.r_hat) == tau_v
+    assert [text for text in slow.warnings if "does not agree with them" in text]
+    # what the walkers went through on their way is dropped, and the law is the right one
+    n_steps, dropped = steps(slow)
+    assert dropped == SETTINGS.burn_in and n_steps >= dropped + 2 * SETTINGS.chunk
+    right = r_hat_between(problem, fast.chains, slow.chains)
+    assert slow.converged and np.nanmax(right) < R_HAT_LIMIT
+
+
+def test_r_hat_of_two_sets_is_one_for_equal_laws_and_grows_with_their_distance() -> None:
+    problem, _, fast = drawn()
+    rng = np.random.default_rng(1)
+    first, second = rng.standard_normal((2, 4, 2000, len(problem.layout)))
+    same = r_hat_between(problem, first, second[:, :500])
+    # 1 + 1 / (2 n) on average for n = 2000 draws; 1.002 is exceeded once in 10000
+    assert np.nanmax(same) < 1.002
+    apart = r_hat_between(problem, first, second + 0.3)
+    assert np.nanmin(apart) > R_HAT_LIMIT
+    wider = r_hat_between(problem, first, 1.4 * second)  # the same mean
+    assert np.nanmin(wider) > R_HAT_LIMIT
+    assert fast.chains.ndim == 3
+
+
+def test_draws_that_have_not_converged_are_no_start() -> None:
+    problem, theta, fast = drawn()
+    loose = replace(fast, r_hat=np.full_like(fast.r_hat, 1.5))
+    few = replace(SETTINGS, max_steps=300)
+    begun = sample_posterior(problem, theta, seed=5, settings=few, begin=loose)
+    plain = sample_posterior(problem, theta, seed=5, settings=few)
+    assert begun.agreement is None
+    np.testing.assert_array_equal(begun.chains, plain.chains)
