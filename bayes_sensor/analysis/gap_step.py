@@ -31,14 +31,14 @@ def begin_gap(job: Job, stack: ExitStack) -> None:
 
 
 def _sent(*given: Any) -> bytes:
-    return packed(shortened("gap", _diagnosed(*given)), known_objects("gap", given[0]))
+    return packed(shortened("gap", diagnosed(*given)), known_objects("gap", given[0]))
 
 
 def _options(job: Job) -> dict[str, Any]:
     return {k: v for k, v in job.options.items() if not k.startswith("with_")}
 
 
-def _diagnosed(campaign: Campaign, fit: Fit, seed: int, options: dict[str, Any]) -> Gap:
+def diagnosed(campaign: Campaign, fit: Fit, seed: int, options: dict[str, Any]) -> Gap:
     from bayes_sensor.diagnosis import diagnose_gap
 
     return diagnose_gap(campaign, fit, seed=seed, **options)
@@ -54,7 +54,7 @@ def run_gap(job: Job) -> None:
                 job.gap = job.ahead()
                 return
             options = _options(job) | {"jobs": job.jobs, "progress": tell}
-            job.gap = _diagnosed(job.problem.campaign, job.fit, job.seed, options)
+            job.gap = diagnosed(job.problem.campaign, job.fit, job.seed, options)
     except CampaignError as error:
         if job.command != "analyze":
             raise

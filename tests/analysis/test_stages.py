@@ -1,7 +1,9 @@
 """An analysis answers stage by stage: what it prints, and what it leaves when it is killed."""
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -65,7 +67,7 @@ def no_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_short(*_: Any, **__: Any) -> None:
         raise CampaignError("gap: too short")
 
-    monkeypatch.setattr(gap_step, "_diagnosed", too_short)
+    monkeypatch.setattr(gap_step, "diagnosed", too_short)
 
 
 def arguments(place: Path, out: Path, *more: str) -> list[str | Path]:
@@ -257,16 +259,12 @@ def test_what_another_process_computes_is_waited_for() -> None:
 
 def die(pid: int) -> int:
     """Ends the process, unless it is the one that asked."""
-    import os
-
     if os.getpid() != pid:
-        os._exit(9)
+        os.kill(os.getpid(), signal.SIGKILL)
     return 5
 
 
 def test_what_a_process_died_of_is_computed_here(caplog: pytest.LogCaptureFixture) -> None:
-    import os
-
     with beside(die, (os.getpid(),)) as wait:
         assert wait() == 5
     assert "ended unexpectedly" in caplog.text
