@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_sensor.bounds.gaussian_intervals import invert
 from bayes_sensor.bounds.likelihood_surface import (
     Maximum,
     Surface,
@@ -141,6 +142,14 @@ class Evidence:
     def white_along_tau(self) -> tuple[FloatArray, FloatArray] | None:
         """Values of tau (m,), and the sd (m,) of least squares' tau^2 there under white noise."""
         return spread_along_tau(self.white, self.psi_white)
+
+    @cached_property
+    def white_cov(self) -> tuple[FloatArray, np.ndarray]:
+        """Converged covariance (n, n) of psi's mean part under iid noise of the fit's RMS, and (n,)
+        whether the data identify each parameter."""
+        surface = self.white
+        information = surface.information(surface.expansion(self.psi_white))
+        return invert(information[np.ix_(surface.mean, surface.mean)])
 
     @cached_property
     def psi_expansion(self) -> FloatArray:

@@ -228,11 +228,8 @@ class Surface:
 
 def coloured_surface(problem: Problem, theta: FloatArray) -> tuple[Surface, Maximum]:
     """The problem's own likelihood, its mesh centred on the maximum, and that maximum."""
-    vector = theta.copy()
-    layout = problem.layout
-    for name, value in problem.fixed.items():
-        vector[layout.index(name)] = value
-    for row in layout.noise:
+    vector = problem.flat(theta)
+    for row in problem.layout.noise:
         if "phi" not in {name.split("[")[0] for name in problem.fixed}:
             vector[row[0]] = np.clip(vector[row[0]], -0.995, 0.9995)
     # a badly fitting model moves far from where it started: then with more and more room

@@ -288,13 +288,10 @@ def _with_tau_above_zero(
 def _ready(problem: Problem, theta: FloatArray) -> FloatArray:
     """``theta`` moved just inside its priors, with noise that can be differentiated."""
     theta = _into_support(problem, theta)
-    layout = problem.layout
-    for row in layout.noise:
+    for row in problem.layout.noise:
         theta[row[2]] = max(theta[row[2]], 0.05 * theta[row[1]])
         theta[row[0]] = np.clip(theta[row[0]], -0.99, 0.9999)
-    for name, value in problem.fixed.items():
-        theta[layout.index(name)] = value
-    return theta
+    return problem.flat(theta)
 
 
 def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:

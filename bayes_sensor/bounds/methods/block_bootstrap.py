@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.bounds.context import Evidence
-from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert, normal_factor
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound
 from bayes_sensor.bounds.likelihood_surface import Surface, curvature_along_tau, maximise
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -294,14 +294,12 @@ def block_bootstrap(evidence: Evidence) -> Bound:
     cov = np.atleast_2d(np.cov(free[:, surface.mean], rowvar=False))
     n_failed = int(details["n_failed"])
     status = f"{n_failed} of {evidence.n_resamples} refits did not settle" if n_failed else ""
-    information = surface.information(surface.expansion(evidence.psi_white))
-    _, identified = invert(information[np.ix_(surface.mean, surface.mean)])
+    _, identified = evidence.white_cov
     normal = gaussian_bound(
         names,
         evidence.estimate,
         cov,
         evidence.at_bound,
-        normal_factor,
         identified=identified,
         status=status,
         details=details,

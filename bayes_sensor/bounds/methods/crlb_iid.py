@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.context import Evidence
 from bayes_sensor.bounds.cramer_rao import PAPER
-from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 
 
 def crlb_iid(evidence: Evidence) -> Bound:
     """Converged Cramer-Rao bound under iid noise of the fit's RMS."""
-    surface = evidence.white
-    information = surface.information(surface.expansion(evidence.psi_white))
-    cov, identified = invert(information[np.ix_(surface.mean, surface.mean)])
+    cov, identified = evidence.white_cov
     return gaussian_bound(
-        surface.mean_names,
+        evidence.mean_names,
         evidence.estimate,
         cov,
         evidence.at_bound,

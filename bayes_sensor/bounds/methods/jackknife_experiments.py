@@ -15,7 +15,7 @@ from scipy import stats
 
 from bayes_sensor.bounds.bound import Bound
 from bayes_sensor.bounds.context import Evidence
-from bayes_sensor.bounds.gaussian_intervals import gaussian_bound, invert
+from bayes_sensor.bounds.gaussian_intervals import gaussian_bound
 from bayes_sensor.bounds.likelihood_surface import Surface, maximise
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import FloatArray
@@ -92,15 +92,13 @@ def jackknife_experiments(evidence: Evidence) -> Bound:
     values = found[:, surface.mean[shared]]
     deviation = values - values.mean(axis=0)
     cov = (n - 1) / n * deviation.T @ deviation
-    information = surface.information(surface.expansion(evidence.psi_white))
-    identified = invert(information[np.ix_(surface.mean, surface.mean)])[1][shared]
     short = gaussian_bound(
         [names[i] for i in shared],
         evidence.estimate[shared],
         cov,
         evidence.at_bound,
         lambda level: float(stats.t.ppf(0.5 + 0.5 * level, n - 1)),
-        identified=identified,
+        identified=evidence.white_cov[1][shared],
         status="" if settled else "a refit without one experiment did not settle",
         details={"n_experiments": n},
     )
