@@ -164,9 +164,9 @@ def _lags(
 
 
 def _flow(text: str | None) -> float | None:
-    from bayes_sensor.io.readers.quantities import FLOW, read_quantity
+    from bayes_sensor.io.readers.flow_settings import read_flow
 
-    return None if text is None else read_quantity(text, FLOW, "--flow")
+    return None if text is None else read_flow(text, "--flow")
 
 
 def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], None]:

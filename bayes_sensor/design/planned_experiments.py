@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.io.readers.recording import MAX_SAMPLES
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.rig import Rig
@@ -130,6 +131,11 @@ def planned(
 
     The valve answers ``delay`` s after its commands.  ``total_flow`` is nan where it is not known.
     """
+    if not duration / interval <= MAX_SAMPLES:
+        raise CampaignError(
+            f"design: a record of {duration:.4g} s with a sample every {interval:.4g} s has more "
+            f"than the {MAX_SAMPLES} samples of an experiment; allow shorter records"
+        )
     t: FloatArray = interval * np.arange(max(round(duration / interval), 2), dtype=float)
     on, off = BEGIN * duration, END * duration
     carrier, test_gas = (1.0 - concentration) * total_flow, concentration * total_flow

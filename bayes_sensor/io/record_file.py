@@ -10,6 +10,7 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers import FORMATS, LARGEST_FILE, read_bytes
 from bayes_sensor.io.readers.assembly import settled_unit
+from bayes_sensor.io.readers.fill_codes import without_fill_codes
 from bayes_sensor.io.readers.quantities import TIME, conversion_factor, read_quantity, unit_text
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.sampling import grid_through, grid_times
@@ -76,6 +77,8 @@ def read_record(
             told = "times are MATLAB's days and were taken as such, from the first sample"
             recording = replace(recording, t=86400.0 * days, notes=(*recording.notes, told))
         factor, unit = _unit(file, recording, wanted)
+        samples, codes = without_fill_codes(recording.y, recording.place)
+        recording = replace(recording, y=samples, notes=(*recording.notes, *codes))
         t, y = _on_times(file, recording)
         y = y * factor
     notes = [f"{where}: {text}" for text in recording.notes]

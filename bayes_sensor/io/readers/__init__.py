@@ -31,6 +31,7 @@ from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
 from bayes_sensor.io.readers.other_channels import signal_remarks
+from bayes_sensor.io.readers.other_times import time_remarks
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
 from bayes_sensor.io.readers.table import read_table
@@ -154,7 +155,10 @@ def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
     # damaged files hold numbers that overflow; what is not finite is told or masked
     with np.errstate(over="ignore", invalid="ignore"):
         recording = reader(file, selection)
-        said = signal_remarks(entry, recording, lambda other: reader(file, other))
+        said = [
+            *time_remarks(entry, recording, lambda other: reader(file, other)),
+            *signal_remarks(entry, recording, lambda other: reader(file, other)),
+        ]
         return assemble(entry, file, replace(recording, notes=(*recording.notes, *said)))
 
 

@@ -15,6 +15,7 @@ from bayes_sensor.io.readers.commanded_times import (
     drive_commands,
     times_of_entry,
 )
+from bayes_sensor.io.readers.fill_codes import without_fill_codes
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.io.readers.recording import MAX_SAMPLES, DataFile, Recording, check_counts
 from bayes_sensor.io.readers.sample_values import (
@@ -129,8 +130,10 @@ def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
         )
     scale, unit = _unit(entry, file, recording)
     present = np.zeros(n, dtype=bool)
-    present[grid.index] = True
-    y = _on_grid(recording.y, grid, n) * scale
+    samples, codes = without_fill_codes(recording.y, recording.place)
+    notes += [f"{where}: {text}" for text in codes]
+    present[grid.index] = ~np.isnan(samples) | np.isnan(recording.y)
+    y = _on_grid(samples, grid, n) * scale
     drive = None if recording.drive is None else _on_grid(recording.drive, grid, n)
     written = grid.index
 

@@ -19,6 +19,7 @@ from bayes_sensor.io.readers.recording import (
     channel_names,
     check_counts,
     is_time,
+    several_times,
     split_name,
 )
 from bayes_sensor.io.readers.roles import Facts, choose_roles
@@ -206,6 +207,7 @@ def recording_of_frame(
         timed=not roles.times or bool(facts[roles.times[0]].column.unit),
         notes=tuple(notes),
         channels=channel_names(names, roles.channels),
+        times=several_times(names, roles.times),
     )
 
 

@@ -29,7 +29,7 @@ from bayes_sensor.io.readers.recording import (
     split_name,
     time_place,
 )
-from bayes_sensor.io.readers.sampling import simplest_near
+from bayes_sensor.io.readers.sampling import LATEST, simplest_near
 from bayes_sensor.io.readers.vectors import recording_of_vectors, signal_and_drive
 
 _NUMERIC = frozenset(
@@ -153,8 +153,12 @@ def _clock(file: DataFile, content: dict[str, Any], n: int) -> tuple[float, floa
         )
     if start is None:
         start = 0.0
-    if not np.isfinite(start):
-        raise file.error(f"Tstart: expected a finite time in s, but it is {start}; export again")
+    for name, value in (("Tstart", start), ("Tinterval", interval * n)):
+        if not abs(value) < LATEST:
+            raise file.error(
+                f"{name}: expected a finite time in s, as clocks have it, but it is "
+                f"{value if name == 'Tstart' else interval}; export the recording again"
+            )
     if length is not None and length != n:
         raise file.error(
             f"Length says {length:.12g} samples, but the signal has {n}; "

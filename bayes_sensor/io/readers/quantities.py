@@ -29,6 +29,9 @@ _LONGEST = 80
 """characters, of a quantity's text"""
 _LEAST, _MOST = 1e-150, 1e150
 """size of a number that is not 0: its square, which every density takes, is a float, too"""
+_RANGES = {"s": (1e-15, 1e12), "mL/s": (1e-12, 1e6), "mL": (1e-12, 1e12), "m": (1e-10, 1.0),
+           "m^2/s": (1e-30, 1.0), "Pa": (1e-9, 1e12)}  # fmt: skip
+"""size of a quantity in its internal unit, far wider than any rig"""
 
 
 @dataclass(frozen=True)
@@ -247,10 +250,11 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
             f"is not one; {fix}"
         )
     value = float(number) * factor
-    if not in_range(value) or (value == 0.0 and not _is_zero(number)):
+    least, most = _RANGES.get(kind.unit, (_LEAST, _MOST))
+    if not (least <= abs(value) <= most or (value == 0.0 and _is_zero(number))):
         raise CampaignError(
             f"{key}: expected {kind.name} such as \"{kind.example}\", but '{_shorten(text)}' is "
-            "out of range; write the value that was set"
+            f"out of range ({least:g} to {most:g} {kind.unit}); write the value that was set"
         )
     # a decimal number such as "12 ms" must become the float 0.012, not 0.012000000000000002
     short = float(f"{value:.12g}")

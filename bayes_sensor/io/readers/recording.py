@@ -102,6 +102,8 @@ class Recording:
     """remarks of the reader, without the place"""
     channels: tuple[str, ...] = ()
     """what may be chosen as signal, as ``signal`` or ``drive`` may write it, in the file's order"""
+    times: tuple[str, ...] = ()
+    """what else may be chosen as ``time``; where a table has several, all of them"""
 
 
 @dataclass(frozen=True)
@@ -286,6 +288,11 @@ def channel_names(names: Sequence[str], chosen: Sequence[int]) -> tuple[str, ...
     return tuple(
         shown[i] if shown[i] and shown.count(shown[i]) == 1 else f"column {i + 1}" for i in chosen
     )
+
+
+def several_times(names: Sequence[str], chosen: Sequence[int]) -> tuple[str, ...]:
+    """The columns of times as ``time`` may write them, where there are several."""
+    return channel_names(names, chosen) if len(chosen) > 1 else ()
 
 
 def check_counts(file: DataFile, n_columns: int, n_samples: int = 0) -> None:

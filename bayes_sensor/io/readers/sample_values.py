@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bayes_sensor.campaign import BoolArray, FloatArray
@@ -35,10 +37,10 @@ def check_finite(
     t: FloatArray,
     y: FloatArray,
     used: BoolArray,
-    place: object,
+    place: Callable[[int], str],
     notes: list[str],
 ) -> None:
-    assert callable(place)
+    """Error where a sample is no measurement at all, a note where some are missing."""
     huge = used & np.isfinite(y) & (np.abs(y) > largest_of(y[used]))
     if huge.any():
         i = int(np.argmax(huge))
@@ -46,6 +48,7 @@ def check_finite(
             f"{place(i)}: the signal is {y[i]:.4g}, out of all proportion; expected a measured "
             "value: check the number format or mask it"
         )
+    _look_for_one_apart(file, y, used & np.isfinite(y), place, notes)
     bad = used & np.isnan(y)
     lost = used & ~np.isfinite(y)
     if not lost.any():
@@ -68,6 +71,26 @@ def check_finite(
         notes.append(
             f"{file.where}: {int(bad.sum())} sample{s} not a number, the first at {place(i)} "
             f"({t[i]:.10g} s); left out"
+        )
+
+
+def _look_for_one_apart(
+    file: DataFile,
+    y: FloatArray,
+    used: BoolArray,
+    place: Callable[[int], str],
+    notes: list[str],
+) -> None:
+    """A note on one sample that lies further from all others than they from each other."""
+    values = np.sort(y[used])
+    if len(values) < 4:
+        return
+    low, high = values[1] - values[0], values[-1] - values[-2]
+    if max(low, high) > values[-2] - values[1] > 0:
+        i = int(np.flatnonzero(used & (y == (values[0] if low > high else values[-1])))[0])
+        notes.append(
+            f"{file.where}: {place(i)}: one sample, {y[i]:.4g}, lies far from all others; leave it "
+            "out with mask where it was not measured"
         )
 
 

@@ -30,6 +30,7 @@ from bayes_sensor.io.readers.recording import (
     check_counts,
     is_date_name,
     scale_time,
+    several_times,
 )
 from bayes_sensor.io.readers.roles import Facts, Roles, choose_roles
 from bayes_sensor.io.readers.sampling import FIRST_EPOCH, grid_times
@@ -123,6 +124,7 @@ def read_text(file: DataFile, text: bytes, selection: Selection, shift: int = 0)
         timed=not roles.times or any(layout.columns[i].unit for i in roles.times),
         notes=tuple(notes),
         channels=channel_names([column.name for column in layout.columns], roles.channels),
+        times=several_times([column.name for column in layout.columns], roles.times),
     )
 
 

@@ -16,6 +16,7 @@ from bayes_sensor.io.readers.recording import (
     Selection,
     check_chosen,
     find_column,
+    is_time,
 )
 from bayes_sensor.io.readers.sampling import grid_times
 from bayes_sensor.io.readers.table import number_times
@@ -93,4 +94,5 @@ def recording_of_vectors(
         timed=time is None or bool(columns[time].unit),
         notes=(remark,) if remark else (),
         channels=tuple(columns[i].name for i in channels),
+        times=tuple(c.name for i, c in enumerate(columns) if i != time and is_time(c)),
     )
