@@ -12,6 +12,7 @@ sample gives::
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import log, pi, sqrt
 
@@ -137,6 +138,35 @@ def experiment_log_likelihood(
         vector[i_y0] = 0.0
     mean, s2 = mean_and_variance(problem, vector, k)
     return float(_log_density(values, mean, s2, e.even_runs, e.pauses, phi, phi_reference, steps))
+
+
+def over_levels(
+    problem: Problem, vector: FloatArray, k: int, unit: float
+) -> Callable[[float, float], float]:
+    """Log density of experiment number ``k`` by moves of y0 and beta in ``unit``, where the mean is
+    affine in both: the response is computed once."""
+    e, (i_y0, i_beta) = problem.campaign.experiments[k], problem.layout.local[k, :2]
+    noise = noise_in_range(problem, vector, k)
+    if noise is None:
+        return lambda u, w: -np.inf
+    phi, phi_reference, _, _ = noise
+    own, raised = vector.copy(), vector.copy()
+    own[i_y0] = raised[i_y0] = 0.0  # from its own level a signal far from zero keeps its digits
+    raised[i_beta] += unit
+    mean, s2 = mean_and_variance(problem, own, k)
+    if has_plain_mean(problem) and own[i_beta] != 0.0:
+        slope = unit / own[i_beta] * mean
+    else:
+        slope = mean_on_grid(problem, raised, k) - mean
+    values, steps = e.values - vector[i_y0], problem.steps(e)
+
+    def moved(u: float, w: float) -> float:
+        shifted = mean + (u * unit + w * slope)
+        return float(
+            _log_density(values, shifted, s2, e.even_runs, e.pauses, phi, phi_reference, steps)
+        )
+
+    return moved
 
 
 def mean_and_response(

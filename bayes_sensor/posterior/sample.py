@@ -160,7 +160,10 @@ def _sampled(
         error = compressed.error(few)
         if error <= MESH_ERROR_LIMIT:
             break
-        compressed = compressed.accurate(few, MESH_ERROR_LIMIT)
+        finer = compressed.accurate(few, MESH_ERROR_LIMIT)
+        if finer.error(few) > MESH_ERROR_LIMIT:
+            break  # narrower blocks do not help, so another run would not; it is said
+        compressed = finer
     agreement = None
     if begin is not None and chains is not None:
         between = run.between

@@ -14,6 +14,7 @@ from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
     log_likelihood,
     mean_and_variance,
+    over_levels,
     simulate,
 )
 from bayes_sensor.likelihood.mesh import compress
@@ -460,3 +461,20 @@ def test_times_as_a_clock_gives_them_are_a_grid() -> None:
     rng = np.random.default_rng(1)
     for t in (TIMES + 0.01 * rng.uniform(-1, 1, 50), 1.7e9 + TIMES, TIMES.astype(np.float32)):
         assert Experiment("a", t, None, 60.0, 10.0, 0.1).n_samples == 50
+
+
+@pytest.mark.parametrize("beta", [0.6, 0.0])
+def test_levels_moved_over_one_response_give_the_same_density(beta: float) -> None:
+    problem, theta = small_problem(n=2)
+    i_y0, i_beta = problem.layout.local[1, :2]
+    theta = theta.copy()
+    theta[i_beta] = beta
+    at = over_levels(problem, theta, 1, 0.3)
+    for u, w in ((0, 0), (1, 0), (0, -1), (2, 0.5)):
+        moved = theta.copy()
+        moved[i_y0] += 0.3 * u
+        moved[i_beta] += 0.3 * w
+        whole = experiment_log_likelihood(problem, moved, 1)
+        assert at(u, w) == pytest.approx(whole, rel=1e-11)
+    theta[problem.layout.noise[1, 0]] = 1.5  # no AR(1)
+    assert over_levels(problem, theta, 1, 0.3)(0, 0) == -np.inf

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
+from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import (
     R_HAT_LIMIT,
@@ -15,6 +17,7 @@ from bayes_sensor.posterior import (
     sample_posterior,
 )
 from bayes_sensor.posterior.agreement import r_hat_between
+from bayes_sensor.posterior.laplace import Laplace, approximate
 from tests.support.campaigns import small_problem
 
 SETTINGS = Settings(n_chains=2)
@@ -95,3 +98,42 @@ def test_draws_that_have_not_converged_are_no_start() -> None:
     plain = sample_posterior(problem, theta, seed=5, settings=few)
     assert begun.agreement is None
     np.testing.assert_array_equal(begun.chains, plain.chains)
+
+
+def test_a_run_is_repeated_only_where_a_finer_mesh_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+    # one record at one flow: data that hold little; its walkers leave the mesh
+    problem, theta = small_problem(sigma=0.05, n=1, interval=0.2, fall=False)
+    settings = Settings(n_chains=2, n_walkers=32, max_steps=300)
+    marginals, evaluated = Compressed.marginals, {True: 0, False: 0}
+    for helps in evaluated:
+
+        def counted(self: Compressed, thetas: np.ndarray, helps: bool = helps) -> Any:
+            evaluated[helps] += len(thetas)
+            return marginals(self, thetas)
+
+        def error(self: Compressed, thetas: np.ndarray, helps: bool = helps) -> float:
+            return 0.0 if helps and self.region.fineness > 1.0 else 1.0
+
+        def finer(self: Compressed, thetas: np.ndarray, limit: float) -> Compressed:
+            region = replace(self.region, fineness=2.0)
+            return Compressed(self.problem, self.reference, region)
+
+        def usual(problem: Problem, start: np.ndarray) -> tuple[Laplace, Compressed]:
+            laplace, mesh = approximate(problem, start)
+            region = replace(mesh.region, fineness=1.0)
+            return laplace, Compressed(problem, mesh.reference, region)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Compressed, "marginals", counted)
+            patch.setattr(Compressed, "error", error)
+            patch.setattr(Compressed, "accurate", finer)
+            patch.setattr("bayes_sensor.posterior.sample.approximate", usual)
+            posterior = sample_posterior(problem, theta, seed=1, settings=settings)
+        assert posterior.mesh_error == (0.0 if helps else 1.0)
+        assert any("the mesh is off" in text for text in posterior.warnings) == (not helps)
+    # at most all steps of all walkers, the draws once more for y0 and beta, and the start: eight
+    # times as many draws as there are walkers, in up to sixty attempts
+    walkers = settings.n_chains * settings.n_walkers
+    most = walkers * (settings.max_steps + settings.max_steps // settings.thin + 8 * 60)
+    assert 0 < evaluated[False] < most
+    assert evaluated[True] > 1.5 * evaluated[False]

@@ -15,6 +15,7 @@ from bayes_sensor.likelihood.density import (
     is_affine,
     mean_and_response,
     noise_in_range,
+    over_levels,
 )
 from bayes_sensor.likelihood.mesh import cascade_kernels, general_kernels
 from bayes_sensor.likelihood.mesh.blocks import Region, at_times, build
@@ -313,6 +314,8 @@ class Compressed:
             trial[i_beta] += w * unit
             return trial
 
+        if not inside and is_affine(problem):
+            return over_levels(problem, vector, k, unit)
         if not inside:
             return lambda u, w: experiment_log_likelihood(problem, moved(u, w), k)
         noise = noise_in_range(problem, vector, k)
