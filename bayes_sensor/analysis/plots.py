@@ -64,10 +64,7 @@ class Plots:
         found, fit = self._analysis.residuals, self._analysis.fit
         if found is None or fit is None:
             return self._missing("residuals", ax)
-        if ax is None:
-            return figures.histogram(found, fit.rms)
-        figures.histogram_panel(ax, found, fit.rms)
-        return ax
+        return figures.histogram(found, fit.rms, ax)
 
     def acf(self, ax: Any = None) -> Any:
         """Autocorrelation of the residuals with the curve of the AR(1) noise law.
@@ -113,10 +110,7 @@ class Plots:
             )
         if ax is None and parameter is None:
             return figures.intervals(bounds)
-        if ax is None:
-            return figures.one_interval(bounds, name)
-        figures.interval_panel(ax, bounds, name)
-        return ax
+        return figures.one_interval(bounds, name, ax)
 
     def delays(self, side: str = "start", ax: Any = None) -> Any:
         """Delays of the switches against 1/Q with the regression.

@@ -28,7 +28,6 @@ from bayes_sensor.figures.plot_gap import (
     gap_which,
 )
 from bayes_sensor.figures.plot_methods import (
-    interval_panel,
     intervals,
     one_interval,
     step_study,
@@ -37,7 +36,6 @@ from bayes_sensor.figures.plot_noise import (
     autocorrelation,
     autocorrelation_panel,
     histogram,
-    histogram_panel,
     predictive,
     spread,
 )
@@ -67,8 +65,6 @@ __all__ = [
     "gap_where",
     "gap_which",
     "histogram",
-    "histogram_panel",
-    "interval_panel",
     "intervals",
     "labels_of_bounds",
     "named_chains",

@@ -31,28 +31,19 @@ def intervals(bounds: Any, truth: Mapping[str, float] | None = None) -> Figure:
             sharey=True,
         )  # fmt: skip
         for axes, name in zip(row, shown_labels, strict=True):
-            interval_panel(axes, bounds, name, truth)
+            one_interval(bounds, name, axes, truth)
         if row[0].get_xlim()[0] < 0:
             row[0].axvline(0.0, color=MIDDLE, lw=0.8)  # tau cannot be negative
     return figure
 
 
-def one_interval(bounds: Any, name: str) -> Figure:
-    """Every bound method of the parameter ``name`` (flat)."""
-    with style():
-        bounds = content_of(bounds)
-        labels = [method_words(bounds, method).label for method in bounds["methods"]]
-        figure, ((axes,),) = panels(
-            0.32 * len(labels) + 0.65, width=4.6, left=beside(labels), top=0.1
-        )
-        interval_panel(axes, bounds, name)
-    return figure
-
-
-def interval_panel(
-    axes: Axes, bounds: Any, name: str, truth: Mapping[str, float] | None = None
-) -> None:
-    """Every bound method of the parameter ``name`` (flat) on ``axes``.
+def one_interval(
+    bounds: Any,
+    name: str,
+    axes: Axes | None = None,
+    truth: Mapping[str, float] | None = None,
+) -> Figure | Axes:
+    """Every bound method of the parameter ``name`` (flat), on ``axes`` or as a figure of its own.
 
     Raises KeyError for a parameter that has none.
     """
@@ -63,6 +54,10 @@ def interval_panel(
     low, high = _visible(rows, factor)
     words = {method: method_words(bounds, method) for method in methods}
     with style():
+        figure = None
+        if axes is None:
+            left = beside(method.label for method in words.values())
+            figure, ((axes,),) = panels(0.32 * len(words) + 0.65, width=4.6, left=left, top=0.1)
         for i, method in enumerate(methods):
             entry = bounds["methods"][method]["parameters"].get(name)
             if not entry:
@@ -95,6 +90,7 @@ def interval_panel(
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.set_yticks(range(len(methods)), [words[m].label for m in methods])
         axes.set_ylim(len(methods) - 0.4, -0.6)
+    return figure or axes
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], factor: float) -> tuple[float, float]:

@@ -16,19 +16,12 @@ from bayes_sensor.figures.style import content_of, logarithmic, panels, style
 from bayes_sensor.fit.traces import Trace
 
 
-def histogram(residuals: Any, rms: float) -> Figure:
+def histogram(residuals: Any, rms: float, axes: Axes | None = None) -> Figure | Axes:
     """Distribution of all residuals with the normal law of the same RMS (paper Fig. 6).
 
-    ``residuals``: the record, or the content of ``residuals.json``; ``rms`` in V.
+    ``residuals``: the record, or the content of ``residuals.json``; ``rms`` in V.  Drawn on
+    ``axes``, or as a figure of its own.
     """
-    with style():
-        figure, ((axes,),) = panels(2.9, width=5.2, top=0.1, left=0.8)
-        histogram_panel(axes, residuals, rms)
-    return figure
-
-
-def histogram_panel(axes: Axes, residuals: Any, rms: float) -> None:
-    """The same on ``axes``."""
     residuals = content_of(residuals)
     record = residuals["histogram"]
     unit = residuals.get("signal_unit", "V")
@@ -36,6 +29,9 @@ def histogram_panel(axes: Axes, residuals: Any, rms: float) -> None:
     total, width = count.sum(), float(record["bin_V"])
     centre = 0.5 * (edges[1:] + edges[:-1])
     with style():
+        figure = None
+        if axes is None:
+            figure, ((axes,),) = panels(2.9, width=5.2, top=0.1, left=0.8)
         axes.bar(
             centre, count, width=np.diff(edges), color=DATA, edgecolor=INK, lw=0.5,
             label=f"residuals ({thousands(total)})",
@@ -46,6 +42,7 @@ def histogram_panel(axes: Axes, residuals: Any, rms: float) -> None:
         axes.set(xlabel=f"residual ({unit}), bins of {width:g} {unit}", ylabel="samples per bin")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value)))
         axes.legend()
+    return figure or axes
 
 
 def autocorrelation(residuals: Any, traces: Sequence[Trace] = ()) -> Figure:

@@ -84,13 +84,7 @@ _SYMBOLS = ("tau_s", "tau_v_s", "V_mL")
 
 def _estimates(fit: Mapping[str, Any]) -> dict[str, float | None]:
     """The shared values by name, or by size of the lags; None where one is too small to be seen."""
-    found = fit.get("estimates")
-    if found is None:  # results of an older version
-        p = fit["parameters"]
-        found = {name: p[name] for name in _SYMBOLS if name in p}
-        if "tau_s" in fit["at_bound"]:
-            found["tau_s"] = None
-    return {name: found[name] for name in figures.shared_labels(found)}
+    return {name: fit["estimates"][name] for name in figures.shared_labels(fit["estimates"])}
 
 
 def _flow(trace: Any) -> str:
