@@ -192,10 +192,8 @@ def init(
     asked for flows and what else cannot be known; Enter leaves it open. What is assumed and what is
     missing is marked in the file.
     """
-    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.init_campaign import init_campaign
 
-    read_overrides(common.config)  # a mistake in it is refused, though nothing of it acts
     init_campaign(folder, overwrite=overwrite, quiet=common.quiet)
 
 
@@ -229,9 +227,6 @@ def report(
     config: UnusedConfig = None,
 ) -> None:
     """Rebuild the report from the saved results."""
-    from bayes_sensor.analysis.overrides import read_overrides
     from bayes_sensor.cli.make_report import rebuild_report
 
-    if config is not None:  # a mistake in it is refused, though nothing of it acts
-        read_overrides(config)
     rebuild_report(folder, quiet, reported.choice(form, jobs))

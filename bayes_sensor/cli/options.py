@@ -35,9 +35,9 @@ Sampler = Annotated[
 ]
 
 
-def settings_file(words: str, hidden: bool = False) -> Any:
+def settings_file(words: str, **more: Any) -> Any:
     """The option ``--config`` with a help text of the command's own."""
-    return typer.Option("--config", metavar="OVERRIDES.toml", help=words, hidden=hidden)
+    return typer.Option("--config", metavar="OVERRIDES.toml", help=words, **more)
 
 
 Config = Annotated[Path | None, settings_file("Settings that differ from default.")]
@@ -50,7 +50,20 @@ UnusedSeed = Annotated[
 UnusedJobs = Annotated[
     int, typer.Option("--jobs", min=1, max=256, hidden=True, help="One process does it.")
 ]
-UnusedConfig = Annotated[Path | None, settings_file("Checked; nothing in it acts.", hidden=True)]
+
+
+def _checked(config: Path | None) -> Path | None:
+    """Refuse a mistake in the settings, though nothing of them acts."""
+    if config is not None:
+        from bayes_sensor.analysis.overrides import read_overrides
+
+        read_overrides(config)
+    return config
+
+
+UnusedConfig = Annotated[
+    Path | None, settings_file("Checked; nothing in it acts.", hidden=True, callback=_checked)
+]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.read_input import read_input
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
+from bayes_sensor.cli.options import given
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import Progress, lined_up, progress_bar, say
 from bayes_sensor.design import Design, check_design, design_experiments
@@ -27,63 +28,55 @@ from bayes_sensor.io.writers import campaign_text
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.lags import Naming
 
+if TYPE_CHECKING:
+    from bayes_sensor.cli.command_options import Planning
+
 SHORTEST = 0.25
 """share of the shortest existing record: the shortest proposal without --duration"""
 KINDS = {"flow": FLOW, "duration": Kind(TIME.name, TIME.unit, "60 s")}
 
 
-def plan_experiments(
-    campaign_path: Path,
-    out: Path,
-    *,
-    target: str,
-    limits: Mapping[str, tuple[str, str]],
-    k: int | None,
-    most: int,
-    trigger: str | None,
-    tau: str | None,
-    truth: Path | None,
-    check: int,
-    seed: int,
-    quiet: bool,
-    config: Path | None = None,
-) -> int:
+def plan_experiments(asked: Planning) -> int:
     """Write design.json and the input files for ``simulate``; return the exit code.
 
     ``design.toml`` goes with ``truth.json``, ``next.toml`` with ``next_truth.json``: sigma1 and phi
     refer to a campaign's own highest concentration and sampling interval.
     """
     clock = Clock()
-    goal = _positive(target, "--target-tau")
-    known = None if trigger is None else _positive(trigger, "--trigger", zero=True)
-    assumed = None if tau is None else _positive(tau, "--tau", zero=True)
-    overrides = read_overrides(config)
-    campaign, _, _ = read_input(campaign_path)
+    path, quiet, k = asked.campaign, asked.quiet, asked.experiments
+    goal = _positive(asked.target_tau, "--target-tau")
+    known = None if asked.trigger is None else _positive(asked.trigger, "--trigger", zero=True)
+    assumed = None if asked.tau is None else _positive(asked.tau, "--tau", zero=True)
+    overrides = read_overrides(asked.config)
+    campaign, _, _ = read_input(path)
     refuse_unplannable(campaign)
-    ranges = _ranges(campaign, limits)
-    problem = make_problem(campaign, overrides, config.name if config else "--config")
+    ranges = _ranges(
+        campaign,
+        given(flow=asked.flow, concentration=asked.concentration, duration=asked.duration),
+    )
+    problem = make_problem(campaign, overrides, asked.config.name if asked.config else "--config")
     vector = None
-    if truth is not None:
-        vector = problem.layout.flat(read_truth(truth, campaign))
+    if asked.truth is not None:
+        vector = problem.layout.flat(read_truth(asked.truth, campaign))
     elif campaign.is_design:
         raise CampaignError(
-            f"{campaign_path.name}: this is a design without data; expected --truth THETA.json "
+            f"{path.name}: this is a design without data; expected --truth THETA.json "
             "with the parameters to plan for: give one, or plan from measured experiments"
         )
     elif not len(problem.name_factors[1]):  # nothing that the data may decide
-        _check_order(problem.naming(), campaign_path)
-    results = Results(out)
+        _check_order(problem.naming(), path)
+    results = Results(asked.out)
     with results.locked():
         with progress_bar("design", quiet) as tell:
             if vector is None:
-                vector = _estimated(problem, seed, tell, campaign_path)
+                vector = _estimated(problem, asked.seed, tell, path)
             if assumed is not None:
                 vector = vector.copy()
                 vector[0] = assumed
             tell(0.5, "choosing experiments")
             found = design_experiments(
                 problem, problem.layout.nested(vector), goal, ranges["flow"],
-                ranges["concentration"], ranges["duration"], k=k, k_max=most, trigger=known,
+                ranges["concentration"], ranges["duration"], k=k, k_max=asked.most, trigger=known,
             )  # fmt: skip
         record = found.to_json()
         record["assumed"] = {
@@ -92,15 +85,16 @@ def plan_experiments(
         } | {name: float(vector[problem.layout.index(name)]) for name in problem.layout.noise_names}
         record["limits"] = {
             "total_flow_mL_s": ranges["flow"], "concentration": ranges["concentration"],
-            "duration_s": ranges["duration"], "experiments": k if k is not None else most,
+            "duration_s": ranges["duration"], "experiments": k if k is not None else asked.most,
             "trigger_s": known,
         }  # fmt: skip
         record["check"] = None
-        if check:
+        if asked.check:
             with progress_bar("check", quiet) as tell:
                 record["check"] = check_design(
-                    found, check, seed, known, lambda done: tell(done, "simulated campaigns")
-                )
+                    found, asked.check, asked.seed, known,
+                    lambda done: tell(done, "simulated campaigns"),
+                )  # fmt: skip
         code = 0 if found.reached or k is not None else 3
         with results.writing() as stage:
             stage.json("design.json", record)
@@ -112,12 +106,13 @@ def plan_experiments(
                 stage.drop += ["next.toml", "next_truth.json"]
             stage.json("truth.json", found.truth_for(found.campaign))
             put_run(
-                stage, "design", clock, seed=seed,
+                stage, "design", clock, seed=asked.seed,
                 settings={
-                    "target_tau": target, "limits": record["limits"], "check": check,
+                    "target_tau": asked.target_tau, "limits": record["limits"],
+                    "check": asked.check,
                     **overrides.record(),
                 },
-                campaign=str(campaign_path), files={campaign_path.name: sha256(campaign_path)},
+                campaign=str(path), files={path.name: sha256(path)},
                 exit_code=code, warnings=[] if code == 0 else [found.status],
             )  # fmt: skip
     _tell(found, record, results, quiet)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.read_input import read_input
@@ -24,35 +23,19 @@ from bayes_sensor.posterior.samplers import FASTEST
 from bayes_sensor.restoration import Restored, restore
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, saved_lags, stated_lags
 
+if TYPE_CHECKING:
+    from bayes_sensor.cli.command_options import Restoring
+
 USAGE = (
     'give CAMPAIGN.toml or a folder of results and then the record, or --lag "40 +- 2 min" and the '
     "record"
 )
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """The options of one run."""
-
-    out: Path
-    lags: tuple[str, ...]
-    signal: str | None
-    time: str | None
-    interval: str | None
-    signal_unit: str | None
-    at: str
-    flow: str | None
-    nonnegative: bool
-    seed: int
-    jobs: int
-    quiet: bool
-    config: Path | None
-
-
-def restore_records(paths: Sequence[Path], wanted: Wanted) -> int:
+def restore_records(wanted: Restoring) -> int:
     """Restore every record, one folder each where there are several; the exit code."""
     clock = Clock()
-    source, files = _parted(paths, wanted.lags)
+    source, files = _parted(wanted.paths, wanted.lag or ())
     # everything that can be wrong with the input is found before anything is written
     read = partial(
         read_record, signal=wanted.signal, time=wanted.time, interval=wanted.interval,
@@ -65,7 +48,7 @@ def restore_records(paths: Sequence[Path], wanted: Wanted) -> int:
     for file, record, name in zip(files, records, names, strict=True):
         with progress_bar("restore", wanted.quiet) as tell:
             found = restore(
-                lags, record, nonnegative=wanted.nonnegative, seed=wanted.seed, jobs=wanted.jobs,
+                lags, record, nonnegative=wanted.non_negative, seed=wanted.seed, jobs=wanted.jobs,
                 progress=tell,
             )  # fmt: skip
         folder = wanted.out if len(files) == 1 else wanted.out / name
@@ -127,13 +110,13 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 
 def _lags(
-    source: Path | None, wanted: Wanted, tell: Progress
+    source: Path | None, wanted: Restoring, tell: Progress
 ) -> tuple[LagDraws, int, dict[str, str]]:
     """Draws of the lags, the exit code of what made them, and the hashes of the files used."""
     flow = _flow(wanted.flow)
     if source is None:
         read_overrides(wanted.config)  # a mistake in it is refused, though nothing of it acts
-        return stated_lags(wanted.lags, wanted.seed), 0, {}
+        return stated_lags(wanted.lag or (), wanted.seed), 0, {}
     if source.is_dir():
         read_overrides(wanted.config)
         path = source / "posterior.nc"
@@ -173,11 +156,14 @@ def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], No
     return lambda fraction, text: tell(begin + (end - begin) * fraction, text)
 
 
-def _settings(wanted: Wanted, source: Path | None) -> dict[str, Any]:
-    found = asdict(wanted)
-    for name in ("out", "quiet", "jobs", "seed", "config"):  # they change no number, or are told
-        found.pop(name)
-    return {**found, "lags": list(wanted.lags), "source": None if source is None else str(source)}
+def _settings(wanted: Restoring, source: Path | None) -> dict[str, Any]:
+    """What changes a number and is told nowhere else."""
+    return {
+        "lags": wanted.lag or [], "signal": wanted.signal, "time": wanted.time,
+        "interval": wanted.interval, "signal_unit": wanted.signal_unit, "at": wanted.at,
+        "flow": wanted.flow, "nonnegative": wanted.non_negative,
+        "source": None if source is None else str(source),
+    }  # fmt: skip
 
 
 def _put(stage: Stage, found: Restored, record: Record) -> None:

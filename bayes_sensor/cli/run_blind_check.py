@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.put_report import last_step, put_report
 from bayes_sensor.blind_check import (
@@ -29,32 +29,23 @@ from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
 
+if TYPE_CHECKING:
+    from bayes_sensor.cli.command_options import BlindCheck
+
 PARTS = "blind-check-parts"
 """folder of finished parts, for --resume; removed once all is done"""
 KEEP_UP_TO = 100
 """cases whose campaigns are kept unless the user says otherwise: some 13 MB each"""
 
 
-def blind_check(
-    out: Path,
-    *,
-    cases: int,
-    seed: int,
-    setting: str,
-    only: str | None,
-    reserve: bool,
-    keep: bool | None,
-    jobs: int,
-    scheduler: str | None,
-    resume: bool,
-    quiet: bool,
-    size: str = "mixed",
-) -> int:
-    """Run all of it, or ``only`` ``cases``, ``diagnose`` or ``score``; the exit code."""
+def blind_check(wanted: BlindCheck, only: str | None) -> None:
+    """Run all of it, or ``only`` ``cases``, ``diagnose`` or ``score``."""
     clock, seconds = Clock(), dict[str, float]()
-    if setting not in SETTINGS:
+    out, n, quiet = wanted.out, wanted.cases, wanted.quiet
+    if wanted.setting not in SETTINGS:
         raise CampaignError(
-            f"--setting: expected one of {', '.join(SETTINGS)}, but got '{setting}'; correct it"
+            f"--setting: expected one of {', '.join(SETTINGS)}, but got '{wanted.setting}'; "
+            "correct it"
         )
     results = Results(out)
     plan = results.json("plan.json")
@@ -66,12 +57,11 @@ def blind_check(
             f"--out {out}: campaigns/ there holds campaigns of your own, which drawn cases would "
             "replace; diagnose yours with --diagnose-only, or choose another folder"
         )
-    if keep is None:
-        keep = cases <= KEEP_UP_TO
+    keep = n <= KEEP_UP_TO if wanted.keep is None else wanted.keep
     card: dict[str, Any] | None = None
     with results.locked():
         parts = results.own_folder(PARTS)
-        if not resume:
+        if not wanted.resume:
             shutil.rmtree(parts, ignore_errors=True)
         with results.writing() as stage:
             made = stage.inside if only is None else results.folder
@@ -79,26 +69,27 @@ def blind_check(
                 begin = time.perf_counter()
                 with progress_bar("drawing", quiet) as tell:
                     draw_cases(
-                        stage.inside, parts, cases, seed, reserve=reserve, size=size, keep=keep,
-                        jobs=jobs, scheduler=scheduler,
-                        progress=lambda done, n: tell(done / n, f"{done} of {n} cases"),
+                        stage.inside, parts, n, wanted.seed, reserve=wanted.reserve,
+                        size=wanted.size, keep=keep, jobs=wanted.jobs, scheduler=wanted.scheduler,
+                        progress=lambda done, of: tell(done / of, f"{done} of {of} cases"),
                     )  # fmt: skip
                 seconds["cases"] = time.perf_counter() - begin
             if only in (None, "diagnose"):
                 begin = time.perf_counter()
                 with progress_bar("diagnosing", quiet) as tell:
                     diagnose_cases(
-                        made, stage.inside, parts, setting, jobs=jobs, scheduler=scheduler,
-                        progress=lambda done, n: tell(done / n, f"{done} of {n} cases"),
+                        made, stage.inside, parts, wanted.setting, jobs=wanted.jobs,
+                        scheduler=wanted.scheduler,
+                        progress=lambda done, of: tell(done / of, f"{done} of {of} cases"),
                     )  # fmt: skip
                 seconds["diagnosis"] = time.perf_counter() - begin
             if only in (None, "score"):
                 card = _write_card(stage, made)
             put_run(
-                stage, "blind-check", clock, seed=seed, seconds=seconds, warnings=noted(),
+                stage, "blind-check", clock, seed=wanted.seed, seconds=seconds, warnings=noted(),
                 settings={
-                    "cases": cases, "setting": setting, "only": only, "reserve": reserve,
-                    "size": size,
+                    "cases": n, "setting": wanted.setting, "only": only,
+                    "reserve": wanted.reserve, "size": wanted.size,
                 },
             )  # fmt: skip
         if card is not None:  # from the whole folder, which may hold an analysis as well
@@ -118,8 +109,7 @@ def blind_check(
         if missing := [name for name in names if name not in sealed]:
             say(f"no truth yet, and too late to seal one: {', '.join(missing)}", quiet)
     else:
-        say(f"{cases} cases, truths sealed: {results.path('sealed.json')}", quiet)
-    return 0
+        say(f"{n} cases, truths sealed: {results.path('sealed.json')}", quiet)
 
 
 def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:

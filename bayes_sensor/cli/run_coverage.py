@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_sensor import figures
@@ -19,43 +17,33 @@ from bayes_sensor.io.results import Results
 if TYPE_CHECKING:
     import pandas as pd
 
+    from bayes_sensor.cli.command_options import CoverageStudy
+
 CHUNKS = "coverage-parts"
 """folder of finished parts; kept, so that --resume may also add campaigns"""
 
 
-def study_coverage(
-    out: Path,
-    *,
-    campaigns: int,
-    settings: Sequence[str],
-    methods: Sequence[str],
-    seed: int,
-    jobs: int,
-    scheduler: str | None,
-    resume: bool,
-    quiet: bool,
-    config: Path | None = None,
-) -> int:
-    """Write coverage.csv, coverage.json and the figure into ``out``; the exit code.
+def study_coverage(wanted: CoverageStudy) -> None:
+    """Write coverage.csv, coverage.json and the figure.
 
-    ``methods`` replace those of ``config``; without either, all are used.
+    Methods that are given replace those of the settings; without either, all are used.
     """
     from bayes_sensor.analysis.overrides import read_overrides
 
     clock = Clock()
-    chosen = chosen_settings(settings)
-    asked = read_overrides(config).bounds
-    names = tuple(methods) or tuple(asked.methods or ()) or tuple(METHODS)
+    chosen = chosen_settings(wanted.setting or ())
+    asked = read_overrides(wanted.config).bounds
+    names = tuple(wanted.method or ()) or tuple(asked.methods or ()) or tuple(METHODS)
     BoundsStudy(next(iter(chosen.values())), methods=names)  # refuses unknown methods
     resamples = asked.resamples if "resamples" in asked.model_fields_set else None
-    results = Results(out)
+    results = Results(wanted.out)
     parts = results.own_folder(CHUNKS)
     with results.locked():
-        if not resume:
+        if not wanted.resume:
             shutil.rmtree(parts, ignore_errors=True)
-        with progress_bar("coverage", quiet) as tell:
+        with progress_bar("coverage", wanted.quiet) as tell:
             table = run_coverage(
-                parts, chosen, campaigns, names, seed, jobs, scheduler,
+                parts, chosen, wanted.campaigns, names, wanted.seed, wanted.jobs, wanted.scheduler,
                 lambda done, n: tell(done / n, f"{done} of {n} campaigns"),
                 n_resamples=resamples,
             )  # fmt: skip
@@ -65,7 +53,7 @@ def study_coverage(
             stage.json(
                 "coverage.json",
                 {
-                    "campaigns_per_setting": campaigns,
+                    "campaigns_per_setting": wanted.campaigns,
                     "settings": {name: setting.words for name, setting in chosen.items()},
                     "methods": list(names),
                     "coverage": rows,
@@ -73,14 +61,14 @@ def study_coverage(
             )
             put_figure(stage, "coverage", figures.coverage(rows))
             put_run(
-                stage, "coverage", clock, seed=seed, warnings=noted(),
+                stage, "coverage", clock, seed=wanted.seed, warnings=noted(),
                 settings={
-                    "campaigns": campaigns, "settings": list(chosen), "methods": list(names),
+                    "campaigns": wanted.campaigns, "settings": list(chosen),
+                    "methods": list(names),
                 },
             )  # fmt: skip
-    say(summary(table), quiet)
-    say(f"results: {results.path('coverage.csv')}", quiet)
-    return 0
+    say(summary(table), wanted.quiet)
+    say(f"results: {results.path('coverage.csv')}", wanted.quiet)
 
 
 def summary(table: pd.DataFrame, parameter: str = "tau_s") -> str:

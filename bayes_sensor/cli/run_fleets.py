@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,13 +50,13 @@ _one_at_a_time = threading.Lock()
 class Analysis:
     """The task of a fleet: ``analyze`` one campaign into its own folder."""
 
-    out: Path
     config: Path | None
     seed: int
     resume: bool
-    key: str
+    posterior: dict[str, Any]
+    out: Path = Path()
+    key: str = ""
     """digest of everything besides the data that the numbers depend on"""
-    posterior: dict[str, Any] = field(default_factory=dict)
 
     def __call__(self, entry: Entry) -> dict[str, Any]:
         """``row`` of the table and ``cost``; errors of the campaign are in the row."""
@@ -174,9 +174,9 @@ def run_fleet(
         If the list, the settings or ``out`` cannot be used.  A bad campaign is a row with
         ``status`` "failed" and its message.
     """
+    path = None if config is None else Path(config)
     rows, _ = _run(
-        Path(listing), Path(out), seed, jobs, scheduler,
-        None if config is None else Path(os.path.abspath(config)), posterior or {}, resume,
+        Path(listing), Path(out), Analysis(path, seed, resume, posterior or {}), jobs, scheduler,
         progress or (lambda fraction, text: None),
     )  # fmt: skip
     return table(rows)
@@ -185,21 +185,21 @@ def run_fleet(
 def _run(
     listing: Path,
     out: Path,
-    seed: int,
+    task: Analysis,
     jobs: int,
     scheduler: str | None,
-    config: Path | None,
-    posterior: dict[str, Any],
-    resume: bool,
     tell: Callable[[float, str], None],
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The rows and their comparison."""
     clock = Clock()
-    settings: Overrides = read_overrides(config, posterior)
+    settings: Overrides = read_overrides(task.config, task.posterior)
     entries = read_list(listing)
     results = Results(out)
-    key = repr((__version__, seed, sorted(settings.record().items())))
-    task = Analysis(Path(os.path.abspath(out)), config, seed, resume, key, posterior)
+    task = replace(  # what a worker can use, wherever it runs
+        task, out=Path(os.path.abspath(out)),
+        config=None if task.config is None else Path(os.path.abspath(task.config)),
+        key=repr((__version__, task.seed, sorted(settings.record().items()))),
+    )  # fmt: skip
     with ExitStack() as stack:
         client = None
         if scheduler is not None:  # before anything is written: it may not answer
@@ -213,7 +213,7 @@ def _run(
             compared = write_comparison(stage, rows, __version__)
             costs = {o["row"]["campaign"]: o["cost"] for o in outcomes}
             put_run(
-                stage, "fleet", clock, seed=seed, settings=settings.record(),
+                stage, "fleet", clock, seed=task.seed, settings=settings.record(),
                 campaign=str(listing),
                 seconds={
                     "fleet": clock.seconds,
@@ -263,23 +263,11 @@ def exit_code(compared: dict[str, Any]) -> int:
 
 
 def analyse_fleet(
-    listing: Path,
-    out: Path,
-    *,
-    seed: int,
-    jobs: int,
-    scheduler: str | None,
-    config: Path | None,
-    posterior: dict[str, Any],
-    resume: bool,
-    quiet: bool,
+    listing: Path, out: Path, task: Analysis, *, jobs: int, scheduler: str | None, quiet: bool
 ) -> int:
     """Run the command; the exit code."""
     with progress_bar("fleet", quiet) as tell:
-        rows, compared = _run(
-            listing, out, seed, jobs, scheduler,
-            None if config is None else Path(os.path.abspath(config)), posterior, resume, tell,
-        )  # fmt: skip
+        rows, compared = _run(listing, out, task, jobs, scheduler, tell)
     for text in sentences(compared):
         say(text, quiet)
     for row in [row for row in rows if row["status"] == "failed"][:MOST_SHOWN]:

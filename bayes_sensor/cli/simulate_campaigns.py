@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.layout import Layout
 
+if TYPE_CHECKING:
+    from bayes_sensor.cli.command_options import Simulation
+
 START_DELAY, END_DELAY = (0.1340, 0.1125e3), (0.0161, 0.0745e3)
 """s and mL: the published delay lines, for a design without switch times of its own"""
 DEFAULTS = {
@@ -35,11 +38,10 @@ DEFAULTS = {
 
 def published_design() -> tuple[Campaign, dict[str, Any]]:
     """The paper's seven experiments as a design, and their published parameters."""
-    source = resources.files("bayes_sensor") / "templates" / "seven_experiments.toml"
-    with resources.as_file(source) as path:
+    templates = resources.files("bayes_sensor") / "templates"
+    with resources.as_file(templates / "seven_experiments.toml") as path:
         design = replace(read_campaign(path), source="")
-    truth = resources.files("bayes_sensor") / "templates" / "seven_experiments.json"
-    with resources.as_file(truth) as path:
+    with resources.as_file(templates / "seven_experiments.json") as path:
         return design, read_json(path)
 
 
@@ -116,15 +118,13 @@ def resized(
         length = duration or old
         n = round(length / h)
         commanded: dict[str, float | None] = {}
-        if n < 2:
+        if not 2 <= n <= 50_000_000:
+            few = ("least 2", "longer --duration or a shorter --interval")
+            many = ("most 50 million", "shorter --duration or a longer --interval")
+            wanted, advice = few if n < 2 else many
             raise CampaignError(
                 f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
-                "least 2: give a longer --duration or a shorter --interval"
-            )
-        if n > 50_000_000:
-            raise CampaignError(
-                f"experiment '{e.name}': {length:g} s at {h:g} s are {n} samples; expected at "
-                "most 50 million: give a shorter --duration or a longer --interval"
+                f"{wanted}: give a {advice}"
             )
         start = float(e.t[0])
         scale = length / old
@@ -195,53 +195,40 @@ def _check_free(results: Results, written: Path) -> None:
             )
 
 
-def simulate_campaign(
-    out: Path,
-    *,
-    campaign: Path | None,
-    seed: int,
-    quiet: bool,
-    design: Path | None,
-    truth: Path | None,
-    phi: float | None,
-    quantities: Mapping[str, str],
-    only: str | None,
-    file_format: str,
-    effects: Sequence[str] = (),
-    config: Path | None = None,
-) -> None:
-    """Write data files, campaign.toml and truth.json into ``out``.
+def simulate_campaign(asked: Simulation) -> None:
+    """Write data files, campaign.toml and truth.json.
 
-    Of the settings in ``config`` only the noise law is used; parameters that it fixes are fixed in
-    the truth.
+    Of the settings only the noise law is used; parameters that it fixes are fixed in the truth.
     """
     from bayes_sensor.analysis.overrides import make_problem, read_overrides
 
-    overrides = read_overrides(config)
+    overrides = read_overrides(asked.config)
     clock = Clock()
-    if file_format not in FORMATS:
+    if asked.file_format not in FORMATS:
         raise CampaignError(
-            f"--format: expected one of {', '.join(FORMATS)}, but got '{file_format}'; choose one"
+            f"--format: expected one of {', '.join(FORMATS)}, but got '{asked.file_format}'; "
+            "choose one"
         )
-    if campaign is not None and design is not None:
+    if asked.campaign is not None and asked.design is not None:
         raise CampaignError("both CAMPAIGN.toml and --design are given; expected one: drop one")
+    phi = asked.phi
     if phi is not None and not -1.0 < phi < 1.0:
         raise CampaignError(f"--phi: expected a number between -1 and 1, but got {phi}; try 0.8")
     wanted: dict[str, float | None] = {}
-    if effects:
+    if asked.effect:
         from bayes_sensor.diagnosis.effects.simulate_effects import read_strength
 
-        for which, strength in map(read_strength, effects):
+        for which, strength in map(read_strength, asked.effect):
             if which in wanted:
                 raise CampaignError(f"--effect {which}: it is given twice; leave one out")
             wanted[which] = strength
-    source = campaign or design
+    source = asked.campaign or asked.design
     given: dict[str, Any] | None = None
     if source is None:
         plan, given = published_design()
-        plan = _chosen(plan, only)
     else:
-        plan = _chosen(read_campaign(source), only)
+        plan = read_campaign(source)
+    plan = _chosen(plan, asked.experiments)
     unit = plan.signal_unit
     kinds = {
         "tau": Kind("a time", "s", "20 ms"), "tau_v": Kind("a time", "s", "850 ms"), "V": VOLUME,
@@ -249,6 +236,7 @@ def simulate_campaign(
         "sigma1": Kind("a signal", unit, f"0.07 {unit}"),
         "duration": Kind(TIME.name, "s", "60 s"), "interval": Kind(TIME.name, "s", "1 ms"),
     }  # fmt: skip
+    quantities = asked.quantities
     values = {k: read_option(text, kinds[k], f"--{k}") for k, text in quantities.items()}
     for name, value in values.items():
         if value < 0 or (value == 0 and not name.startswith("sigma")):
@@ -256,13 +244,14 @@ def simulate_campaign(
                 f"--{name}: expected a positive value, but got '{quantities[name]}'; write for "
                 f'example "{kinds[name].example}"'
             )
-    if truth is not None:
-        given = read_truth(truth, plan)
+    if asked.truth is not None:
+        given = read_truth(asked.truth, plan)
     elif given is None and not plan.is_design:
         from bayes_sensor.fit import fit_least_squares
 
-        with progress_bar("fit", quiet) as tell:
-            given = fit_least_squares(plan, seed=seed, euler=False, progress=tell).parameters
+        with progress_bar("fit", asked.quiet) as tell:
+            fit = fit_least_squares(plan, seed=asked.seed, euler=False, progress=tell)
+            given = fit.parameters
     plan = _empty(plan)
     theta = given or default_truth(plan)
     kept = {*plan.names_of_experiments, *(e.record_name for e in plan)}
@@ -270,15 +259,15 @@ def simulate_campaign(
     plan, theta = resized(plan, theta, values.get("duration"), values.get("interval"))
     flat = {"tau": "tau_s", "tau_v": "tau_v_s", "V": "V_mL", "sigma0": "sigma0_V",
             "sigma1": "sigma1_V"}  # fmt: skip
-    asked = {flat[k]: v for k, v in values.items() if k in flat}
+    set_to = {flat[k]: v for k, v in values.items() if k in flat}
     known = Layout.of(plan)
-    for name in asked:
+    for name in set_to:
         if name not in (*known.shared_names, *known.noise_names):
             raise CampaignError(
                 f"--{name.rsplit('_', 1)[0]}: this rig has no such parameter; it has "
                 f"{', '.join(known.shared_names)}: give others by --truth"
             )
-    theta.update(asked)
+    theta.update(set_to)
     if phi is not None:
         theta["phi"] = phi
     for name in known.noise_names:
@@ -287,35 +276,33 @@ def simulate_campaign(
     if plan.sensor_is != "unknown" and known.is_published:  # the truth says it as well
         order = "faster" if theta["tau_s"] <= theta["tau_v_s"] else "slower"
         plan = replace(plan, sensor_is=order)
-    problem = make_problem(plan, overrides, config.name if config is not None else "--config")
+    label = asked.config.name if asked.config is not None else "--config"
+    problem = make_problem(plan, overrides, label)
     theta = problem.layout.nested({**theta, **problem.noise.fixed})
-    results = Results(out)
-    with results.locked(), progress_bar("simulate", quiet) as tell:
+    results = Results(asked.out)
+    with results.locked(), progress_bar("simulate", asked.quiet) as tell:
         tell(0.2, "noise")
-        recorded, theta = _recorded(problem, theta, wanted, seed)
+        recorded, theta = _recorded(problem, theta, wanted, asked.seed)
         recorded = replace(recorded, title=f"simulated: {plan.title}" if source else plan.title)
         with results.writing() as stage:
             tell(0.4, "writing")
-            write_campaign(recorded, stage.inside, formats=file_format)
+            write_campaign(recorded, stage.inside, formats=asked.file_format)
             _check_free(results, stage.inside)
             stage.json("truth.json", {**theta, "signal_unit": unit})
             put_run(
-                stage, "simulate", clock, seed=seed,
+                stage, "simulate", clock, seed=asked.seed,
                 settings={
                     **quantities, "phi": theta.get("phi"), "noise": overrides.noise.model_dump(),
-                    "format": file_format, "effects": list(effects),
+                    "format": asked.file_format, "effects": list(asked.effect or ()),
                 },
                 campaign="" if source is None else str(source),
                 files={} if source is None else {source.name: sha256(source)},
             )  # fmt: skip
-    say(
-        f"{counted(len(recorded), 'experiment')} with "
-        + ", ".join(
-            f"{name.replace('_s', '', 1)} = {1e3 * theta[name]:g} ms"
-            for name in known.shared_names
-            if name.startswith("tau_s")
-        )
-        + f", seed {seed}",
-        quiet,
-    )
-    say(f"campaign: {results.path('campaign.toml')}", quiet)
+    lags = [
+        f"{name.replace('_s', '', 1)} = {1e3 * theta[name]:g} ms"
+        for name in known.shared_names
+        if name.startswith("tau_s")
+    ]
+    what = f"{counted(len(recorded), 'experiment')} with {', '.join(lags)}, seed {asked.seed}"
+    say(what, asked.quiet)
+    say(f"campaign: {results.path('campaign.toml')}", asked.quiet)

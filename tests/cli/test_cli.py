@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -55,18 +56,19 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- start
 
 
-def test_version_and_help_answer_quickly() -> None:
-    best = np.inf
-    for _ in range(3):
-        before = time.perf_counter()
-        with start("--help") as process:
-            text, _ = process.communicate()
-        best = min(best, time.perf_counter() - before)
-        assert process.returncode == 0
-        for command in ("analyze", "fit", "posterior", "bounds", "delays", "simulate", "report",
-                        "check", "diffusion", "design", "coverage"):  # fmt: skip
-            assert re.search(rf"^  {command} ", text, re.MULTILINE)
-    assert best < 3.0  # a second on an idle machine, where it takes .4 s
+def test_the_help_answers_quickly_and_names_the_commands() -> None:
+    def spent() -> float:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    before = spent()
+    with start("--help") as process:
+        text, _ = process.communicate()
+    assert process.returncode == 0
+    assert spent() - before < 1.5  # s of the processor, whatever else runs; it takes .4 s
+    for command in ("analyze", "fit", "posterior", "bounds", "delays", "simulate", "report",
+                    "check", "diffusion", "design", "coverage"):  # fmt: skip
+        assert re.search(rf"^  {command} ", text, re.MULTILINE)
 
 
 def test_numerics_are_not_loaded_for_the_help() -> None:
