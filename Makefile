@@ -52,6 +52,7 @@ $(STAMP): pyproject.toml $(wildcard constraints-*.txt)
 	  $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 14))' || exit 1; \
 	  echo "no tested versions for this new Python; using the ranges in pyproject.toml" >&2; \
 	  $(PIP_INSTALL) -e '.[$(EXTRAS)]'; }
+	@echo "numerical functions are compiled when first used, a minute or two in all, and kept"
 	@touch $@
 
 demo: $(STAMP)

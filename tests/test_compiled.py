@@ -6,11 +6,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from bayes_sensor.compiled import VARIABLE, ensure_numba_cache_dir, forget_older, own_folder
+from bayes_sensor.compiled import VARIABLE, ensure_numba_cache_dir, own_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 NOBODY = 65534
@@ -82,25 +81,55 @@ def test_an_account_without_a_home_can_compile(tmp_path: Path) -> None:
     assert list(tmp_path.glob("bayes_sensor-*"))
 
 
-def test_what_is_older_than_a_function_that_it_calls_is_compiled_anew(tmp_path: Path) -> None:
-    called = ModuleType("called")
-    called.__file__ = str(tmp_path / "called.py")
-    Path(called.__file__).touch()
-    kept = [tmp_path / f"caller.{name}-9.py311.nbi" for name in ("value", "values")]
-    kept.append(tmp_path / "other.value-9.py311.nbi")
+CALLED = """
+from bayes_sensor.compiled import compiled
+@compiled(inside=True)
+def called(x):
+    return x + 1.0
+"""
+CALLER = """
+from bayes_sensor.compiled import compiled
+from called import called
+FACTOR = 2.0
+@compiled()
+def caller(x):
+    return FACTOR * called(x)
+if __name__ == "__main__":
+    print(caller(1.0), sum(caller.stats.cache_hits.values()))
+"""
 
-    def caller(name: str) -> SimpleNamespace:
-        stats = SimpleNamespace(cache_path=str(tmp_path))
-        return SimpleNamespace(__module__="rig.caller", __name__=name, stats=stats)
 
-    def after(changed: float) -> list[bool]:
-        for index in kept:
-            index.touch()
-            os.utime(index, (100.0, 100.0))
-        os.utime(str(called.__file__), (changed, changed))
-        forget_older([caller("value")], [called])
-        return [index.exists() for index in kept]
+def test_what_is_kept_is_used_until_the_text_of_what_it_calls_changes(tmp_path: Path) -> None:
+    def runs(**texts: str) -> str:
+        for name, text in texts.items():
+            (tmp_path / f"{name}.py").write_text(text)
+            os.utime(tmp_path / f"{name}.py", (100.0, 100.0))  # dates say nothing
+        environ = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+        environ |= {VARIABLE: str(tmp_path / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, str(tmp_path / "caller.py")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environ)
+        return done.stdout or done.stderr
 
-    assert after(50.0) == [True, True, True]
-    assert after(150.0) == [False, True, True]
-    forget_older([len], [called])  # compilation is switched off: nothing is kept
+    assert runs(called=CALLED, caller=CALLER) == "4.0 0\n"
+    assert runs() == "4.0 1\n"
+    os.utime(tmp_path / "called.py")
+    assert runs() == "4.0 1\n"
+    assert runs(called=CALLED.replace("1.0", "3.0")) == "8.0 0\n"
+    assert runs(caller=CALLER.replace("2.0", "5.0")) == "20.0 0\n"
+    assert runs(called=CALLED, caller=CALLER) == "4.0 0\n"
+
+
+def test_a_run_says_once_that_it_compiles(tmp_path: Path) -> None:
+    code = (
+        "from bayes_sensor.compiled import say_when_compiling\nsay_when_compiling(print)\n"
+        "import numpy as np\nfrom bayes_sensor.likelihood.noise import simulate_noise\n"
+        "for phi in (0.5, np.full(2, 0.5)):\n"
+        "    simulate_noise(np.ones(3), phi, np.random.default_rng(1))\n"
+    )
+    environ = os.environ | {VARIABLE: str(tmp_path), "PYTHONPATH": str(ROOT)}
+    said = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environ)
+        for _ in range(2)
+    ]
+    assert said[0].stdout.startswith("compiling numerical functions")
+    assert said[0].stdout.count("\n") == 1 and said[1].stdout == "", said

@@ -20,11 +20,11 @@ from math import erfc, sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import special, stats
 
 from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.mesh import NO_TAU, Compressed, above_zero
 from bayes_sensor.rig.switching import is_switch_time
@@ -226,12 +226,15 @@ def switch_quantiles(
     return x[: len(z)], x[len(z) :]
 
 
-@njit(cache=True)
+@compiled()
 def _mixture_quantiles(
     middle: FloatArray, weight: FloatArray, rest: float, target: FloatArray, x: FloatArray
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # quantiles x of a mixture of normals of one spread, by bisection
-    lowest, highest = middle.min() - 9.0 * rest, middle.max() + 9.0 * rest
+    lowest, highest = middle[0], middle[0]
+    for i in range(len(middle)):
+        lowest, highest = min(lowest, middle[i]), max(highest, middle[i])
+    lowest, highest = lowest - 9.0 * rest, highest + 9.0 * rest
     for k in range(len(target)):
         a, b = lowest, highest
         for _ in range(45):

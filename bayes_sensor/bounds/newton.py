@@ -9,18 +9,18 @@ from __future__ import annotations
 from math import exp, sqrt, tanh
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 IntArray = NDArray[np.int64]
 RIDGE = 1e-7
 """of scaled curvature, far below any useful information; unidentified directions do not move"""
 
 
-@njit(cache=True, error_model="numpy")
-def factor(matrix: FloatArray) -> bool:  # pragma: no cover - compiled
+@compiled()
+def factor(matrix: FloatArray) -> bool:
     """Cholesky factor in place, in the lower triangle; False where it does not exist."""
     n = len(matrix)
     for j in range(n):
@@ -39,10 +39,8 @@ def factor(matrix: FloatArray) -> bool:  # pragma: no cover - compiled
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def solve(
-    matrix: FloatArray, vector: FloatArray, some: IntArray, damping: float
-) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def solve(matrix: FloatArray, vector: FloatArray, some: IntArray, damping: float) -> FloatArray:
     """matrix^-1 vector (len(some),) of the rows and columns ``some``, scaled and with a ridge.
 
     If rounding makes the matrix indefinite, the ridge is raised until it is positive definite.
@@ -78,7 +76,7 @@ def solve(
     return found * scale
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def projected_step(
     matrix: FloatArray,
     gradient: FloatArray,
@@ -87,7 +85,7 @@ def projected_step(
     ceiling: FloatArray,
     active: IntArray,
     damping: float,
-) -> tuple[FloatArray, bool]:  # pragma: no cover - compiled
+) -> tuple[FloatArray, bool]:
     """Newton step (n,) that keeps inside the box, and whether it had to be cut there.
 
     Coordinates on a wall stay there if the gradient points outwards.  A step through a wall ends at
@@ -132,14 +130,14 @@ def projected_step(
     return step, True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def learnt(
     matrix: FloatArray,
     base: FloatArray,
     taken: FloatArray,
     turned: FloatArray,
     active: IntArray,
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """BFGS update of ``matrix`` (n, n): if the model fits badly, the expected curvature ``base``
     differs from the true one.  ``base`` itself where the update would not be positive definite."""
     n = len(active)
@@ -170,7 +168,7 @@ def learnt(
     return result if factor(scaled) else base
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def theta_of(
     psi: FloatArray,
     template: FloatArray,
@@ -179,7 +177,7 @@ def theta_of(
     switches: IntArray,
     phi: IntArray,
     log_sigmas: IntArray,
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n_theta,) of psi: ``Coordinates.theta`` for one vector; ``template`` holds what is fixed."""
     theta = template.copy()
     for i in range(len(free)):
@@ -195,7 +193,7 @@ def theta_of(
     return theta
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def gradient_by_psi(
     theta: FloatArray,
     gradient: FloatArray,
@@ -204,7 +202,7 @@ def gradient_by_psi(
     switches: IntArray,
     phi: IntArray,
     log_sigmas: IntArray,
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n_psi,) of a gradient by theta: the transposed ``Coordinates.slopes`` without its matrix."""
     result = gradient[free]
     pulled = 0.0
@@ -223,10 +221,8 @@ def gradient_by_psi(
     return result
 
 
-@njit(cache=True, error_model="numpy")
-def mixed(
-    tau: float, taus: FloatArray, matrices: FloatArray
-) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def mixed(tau: float, taus: FloatArray, matrices: FloatArray) -> FloatArray:
     """The matrix (n, n) at ``tau``, linear between those of ``taus`` (m,)."""
     last = len(taus) - 1
     j = 0

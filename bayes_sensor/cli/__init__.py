@@ -56,9 +56,12 @@ def main(arguments: list[str] | None = None) -> None:
     """The entry point ``bayes-sensor``; ends the process with the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _open_streams()
-    from bayes_sensor.cli.logged_notes import take_notes
+    from bayes_sensor.cli.logged_notes import aloud, take_notes
+    from bayes_sensor.compiled import say_when_compiling
 
     take_notes()
+    if sys.stderr.isatty():
+        say_when_compiling(aloud)
     import bayes_sensor.campaign  # noqa: F401  before Ctrl-C is an exception, see exit_code
 
     be_interruptible(arguments)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.compiled import forget_older
+from bayes_sensor.compiled import compiled
 from bayes_sensor.fit.first_estimates import Look, typical_rise
-from bayes_sensor.rig import partial_fractions as fractions
 from bayes_sensor.rig.partial_fractions import partial_fractions, quick_step_response, sorted_apart
 
 
@@ -78,10 +76,10 @@ class Series(NamedTuple):
     rest: FloatArray  # (n_exp,) input before them
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _profile(
     z: Any, lags: Any, delays: Any, series: Any, first: Any, t: Any, count: Any, y: Any, linear: Any
-) -> float:  # pragma: no cover - compiled
+) -> float:
     # Sum of squares at z = (.., switch times) for lags (n_exp, n_lags) s and delays of the stages
     # (n_exp,) s with the best y0 and beta, which are left in linear (n_exp, 2).
     taus, c = np.empty(lags.shape[1]), np.empty(lags.shape[1])
@@ -126,14 +124,11 @@ def _profile(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def profiles(
     Z: Any, lags: Any, delays: Any, series: Any, first: Any, t: Any, count: Any, y: Any, linear: Any
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     costs = np.empty(len(Z))
     for i in range(len(Z)):
         costs[i] = _profile(Z[i], lags[i], delays[i], series, first, t, count, y, linear)
     return costs
-
-
-forget_older((_profile, profiles), (fractions,))

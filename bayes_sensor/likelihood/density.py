@@ -17,10 +17,10 @@ from dataclasses import replace
 from math import log, pi, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.noise import (
     check_phi,
     lag_coefficient,
@@ -49,7 +49,7 @@ def response_at_samples(problem: Problem, vector: FloatArray, k: int) -> FloatAr
     return response(e.t, vector, problem.layout, k, e.total_flow, interval)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _log_density(
     y: FloatArray,
     m: FloatArray,
@@ -59,7 +59,7 @@ def _log_density(
     phi: float,
     phi_reference: float,
     steps: float,
-) -> float:  # pragma: no cover - compiled
+) -> float:
     # runs (n_runs, 2) with pauses (n_runs,) before them, in samples; phi over one sample; across a
     # pause phi_reference ** (steps * pause)
     total = 0.0

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.display import record_card
 
 VARIANCES = ("concentration", "signal", "constant", "levels")
@@ -179,15 +179,15 @@ def simulate_noise(
     return scale * e[burn_in:]
 
 
-@njit(cache=True)
-def _recurse_unevenly(z: FloatArray, phi: FloatArray) -> None:  # pragma: no cover - compiled
+@compiled()
+def _recurse_unevenly(z: FloatArray, phi: FloatArray) -> None:
     # z_i + phi_i z_(i-1), in place
     for i in range(1, len(z)):
         z[i] += phi[i - 1] * z[i - 1]
 
 
-@njit(cache=True)
-def _recurse(z: FloatArray, phi: float) -> None:  # pragma: no cover - compiled
+@compiled()
+def _recurse(z: FloatArray, phi: float) -> None:
     # z_i + phi z_(i-1), in place
     for i in range(1, len(z)):
         z[i] += phi * z[i - 1]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from math import log, pi
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.layout import Theta
 
@@ -30,7 +30,7 @@ def log_priors(problem: Problem, thetas: FloatArray) -> FloatArray:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _sum_log_priors(
     thetas: FloatArray,
     kinds: NDArray[np.int64],
@@ -38,7 +38,7 @@ def _sum_log_priors(
     places: NDArray[np.int64],
     to_lag: FloatArray,
     total: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # Prior.log_density for every parameter, in the order of KINDS; -inf where lags are not by size
     # (places, to_lag: where they stand, and what makes them lags)
     for n in range(len(thetas)):
@@ -90,14 +90,14 @@ def log_prior_derivatives(problem: Problem, theta: FloatArray) -> tuple[FloatArr
     return first, second
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _prior_derivatives(
     theta: FloatArray,
     kinds: NDArray[np.int64],
     table: FloatArray,
     first: FloatArray,
     second: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     for i in range(len(kinds)):
         x, a, b = theta[i], table[i, 0], table[i, 1]
         if kinds[i] == 1:

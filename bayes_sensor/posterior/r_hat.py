@@ -11,9 +11,9 @@ from __future__ import annotations
 from math import ceil, log10, sqrt
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 
 def diagnostics(chains: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -102,10 +102,8 @@ def _effective(draws: FloatArray) -> FloatArray:
     return found
 
 
-@njit(cache=True)
-def _correlation_time(
-    covariance: FloatArray, between: float
-) -> float:  # pragma: no cover - compiled
+@compiled()
+def _correlation_time(covariance: FloatArray, between: float) -> float:
     # 1 + 2 sum of autocorrelations, up to the last pair of lags whose sum is positive and with
     # these sums made to fall (Vehtari et al., eqs. 9-11); covariance (n,): mean over the chains
     n = len(covariance)

@@ -11,18 +11,15 @@ Where sampling and noise do not change, the covariances settle, and only means a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.compiled import ensure_numba_cache_dir
-
-ensure_numba_cache_dir()
+from bayes_sensor.compiled import compiled
 
 SETTLED = 1e-12
 """change of a correlation from one sample to the next below which covariances have settled"""
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _times(a: FloatArray, b: FloatArray, found: FloatArray) -> None:
     n = a.shape[0]
     for i in range(n):
@@ -33,7 +30,7 @@ def _times(a: FloatArray, b: FloatArray, found: FloatArray) -> None:
             found[i, j] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def discretise(
     drift: FloatArray, diffusion: FloatArray, steps: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -101,7 +98,7 @@ def discretise(
     return transitions, covariances
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def run_filter(
     y: FloatArray,
     scale: FloatArray,
@@ -223,7 +220,7 @@ def run_filter(
     return log_likelihood, v, spread, mean, row, gains
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def run_smoother(
     v: FloatArray,
     spread: FloatArray,

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.display import record_card
 from bayes_sensor.rig.chain import (
     Drive,
@@ -82,10 +82,10 @@ def cascade_sensitivities(
     return out
 
 
-@njit(cache=True)
+@compiled()
 def _euler(
     t: FloatArray, h: float, taus: FloatArray, t0: float, tf: float, out: FloatArray
-) -> None:  # pragma: no cover - compiled
+) -> None:
     x1 = x2 = x3 = 0.0
     for i in range(len(t)):
         out[i] = x3
@@ -181,11 +181,7 @@ def response(
     """
     rig, switching = layout.rig, layout.switching[k]
     shared = theta[layout.shared[k]]
-    taus = rig.taus(shared, flow)
-    drive = switching.drive(theta[layout.switches(k)])
-    if rig.has_delay:
-        drive = drive.later(rig.delay(shared, flow))
-    x = chain_response(t, taus, drive, interval)
+    x = rig.passed(t, shared, flow, switching.drive(theta[layout.switches(k)]), interval)
     return switching.level_before + x if switching.level_before else x
 
 
@@ -201,32 +197,26 @@ def response_slopes(
     these (n_t, m)."""
     rig, switching = layout.rig, layout.switching[k]
     shared, places = theta[layout.shared[k]], layout.switches(k)
-    taus, values = rig.taus(shared, flow), theta[places]
-    drive, derivative = switching.drive(values), switching.derivative(values)
-    if rig.has_delay:
-        delay = rig.delay(shared, flow)
-        drive, derivative = drive.later(delay), derivative.later(delay)
-    x = chain_response(t, taus, drive, interval)
-    by_lag = lag_sensitivities(t, taus, derivative, interval)
-    by_delay = None
+    values = theta[places]
+    x = rig.passed(t, shared, flow, switching.drive(values), interval)
+    derivative, by_delay = switching.derivative(values), None
     if switching.recorded is not None or rig.has_delay:
-        by_delay = -chain_response(t, taus, derivative, interval)
+        by_delay = -rig.passed(t, shared, flow, derivative, interval)
     slopes = np.zeros((len(t), len(shared) + len(places)))
-    rig.add_slopes(slopes, shared, flow, by_lag, by_delay)
+    rig.add_slopes(slopes, t, shared, flow, derivative, by_delay, interval)
     if by_delay is not None and switching.recorded is not None:
         slopes[:, -1] = by_delay
     else:
         programme = switching.programme(values)
-        times = programme.times + (rig.delay(shared, flow) if rig.has_delay else 0.0)
         if len(switching.moves) == len(places):
-            slopes[:, len(shared) :] = switch_sensitivities(
-                t, taus, times, programme.heights, interval
+            slopes[:, len(shared) :] = rig.switch_sensitivities(
+                t, shared, flow, programme, interval
             )
         else:  # all the switches that one parameter moves, together
             for j in range(len(places)):
                 own = switching.places == j
-                part = Drive.of(times[own], kicks=-programme.heights[own])
-                slopes[:, len(shared) + j] = chain_response(t, taus, part, interval)
+                part = Drive.of(programme.times[own], kicks=-programme.heights[own])
+                slopes[:, len(shared) + j] = rig.passed(t, shared, flow, part, interval)
     x = switching.level_before + x if switching.level_before else x
     return x, np.concatenate([layout.shared[k], places]), slopes
 

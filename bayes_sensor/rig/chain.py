@@ -19,13 +19,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compiled import forget_older
-from bayes_sensor.rig import divided_differences
+from bayes_sensor.compiled import compiled
 from bayes_sensor.rig.divided_differences import TERMS, divided
-from bayes_sensor.rig.propagation import at_any_times, by_lags, by_switches, on_grid, recorded
+from bayes_sensor.rig.propagation import at_any_times, by_switches, on_grid, recorded
 
 Lags = Sequence[float] | FloatArray
 """time constants, s, all positive, in any order"""
@@ -72,22 +70,23 @@ class Drive(NamedTuple):
         return self._replace(times=self.times + delay) if delay else self
 
 
-@njit(cache=True, error_model="numpy")
-def step_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
+@compiled()
+def step_response(s: float, rates: FloatArray) -> float:
     """x_n(s) of n first-order lags in a row (sorted ``rates``, 1/s) to a unit step at s = 0."""
     if s <= 0.0:
         return 0.0
     n = len(rates)
     nodes = np.zeros(n + 1)
-    nodes[1:] = rates
+    for i in range(n):
+        nodes[1 + i] = rates[i]
     value = divided(nodes, s, np.empty(n + 1), np.empty(TERMS))
     for i in range(n):
         value *= -rates[i]
     return value
 
 
-@njit(cache=True, error_model="numpy")
-def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
+@compiled()
+def impulse_response(s: float, rates: FloatArray) -> float:
     """dx_n/ds, 1/s, of the same chain."""
     if s <= 0.0:
         return 0.0
@@ -95,9 +94,6 @@ def impulse_response(s: float, rates: FloatArray) -> float:  # pragma: no cover 
     for i in range(1, len(rates)):
         value *= -rates[i]
     return value
-
-
-forget_older((step_response, impulse_response), (divided_differences,))
 
 
 def chain_response(
@@ -160,9 +156,6 @@ def lag_sensitivities(
     """
     t = np.ascontiguousarray(t, dtype=float)
     columns = np.empty((len(taus), len(t)))
-    if interval is None:
-        by_lags(t, np.asarray(taus, dtype=float), *derivative, columns)
-        return columns.T
     for column, tau in zip(columns, taus, strict=True):
         np.negative(chain_response(t, [*taus, tau], derivative, interval), out=column)
     return columns.T
@@ -176,8 +169,7 @@ def switch_sensitivities(
     times, heights = np.asarray(times, dtype=float), np.asarray(heights, dtype=float)
     columns = np.empty((len(times), len(t)))
     if interval is None:
-        rates = np.sort(1.0 / np.asarray(taus, dtype=float))
-        by_switches(t, rates, times, heights, columns)
+        by_switches(t, np.sort(1.0 / np.asarray(taus, dtype=float)), times, heights, columns)
         return columns.T
     for column, time, height in zip(columns, times, heights, strict=True):
         column[:] = chain_response(t, taus, Drive.of([time], kicks=[-height]), interval)

@@ -11,18 +11,15 @@ from __future__ import annotations
 
 from math import exp, expm1
 
-from numba import njit
-
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 TERMS = 24
 """of the series, which reach rounding where rates are spread over up to 1/s"""
 
 
-@njit(cache=True, error_model="numpy")
-def _series(
-    a: FloatArray, i: int, n: int, s: float, h: FloatArray
-) -> float:  # pragma: no cover - compiled
+@compiled(inside=True)
+def _series(a: FloatArray, i: int, n: int, s: float, h: FloatArray) -> float:
     # divided difference over a[i : i + n] where its spread times s is at most 1; h: scratch (24,)
     spread = (a[i + n - 1] - a[i]) * s
     # the terms fall like spread^k / k!: so many reach rounding
@@ -47,10 +44,8 @@ def _series(
     return total
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _recursion(
-    a: FloatArray, s: float, table: FloatArray, h: FloatArray
-) -> None:  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def _recursion(a: FloatArray, s: float, table: FloatArray, h: FloatArray) -> None:
     # table[j] = f[a_j, .., a_n] for every j
     n = len(a)
     table[0] = exp(-a[0] * s) if a[0] != 0.0 else 1.0
@@ -73,10 +68,8 @@ def _recursion(
                 table[i] = _series(a, i, k + 1, s, h)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def divided(
-    a: FloatArray, s: float, table: FloatArray, h: FloatArray
-) -> float:  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def divided(a: FloatArray, s: float, table: FloatArray, h: FloatArray) -> float:
     """Divided difference f[a_1, .., a_n] over sorted rates ``a`` (n,), s >= 0.
 
     Scratch: ``table`` (n,) and ``h`` (:data:`TERMS`,).
@@ -89,10 +82,8 @@ def divided(
     return highest
 
 
-@njit(cache=True, error_model="numpy")
-def divided_tails(
-    a: FloatArray, s: float, table: FloatArray, h: FloatArray
-) -> None:  # pragma: no cover - compiled
+@compiled(inside=True)
+def divided_tails(a: FloatArray, s: float, table: FloatArray, h: FloatArray) -> None:
     """Leave the divided difference over the last rates, from the j-th on, in ``table[j]``."""
     n = len(a)
     if n > 1 and (a[n - 1] - a[0]) * s <= 1.0:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import factorial, log
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 LOWEST, HIGHEST = -708.0, 709.0
 """beyond these the result would be subnormal or no number"""
@@ -23,8 +23,8 @@ ROUNDING = 1.5 * 2.0**52
 C2, C3, C4, C5, C6, C7, C8, C9, C10, C11, C12 = (1.0 / factorial(k) for k in range(2, 13))
 
 
-@njit(cache=True)
-def exponentials(x: FloatArray) -> None:  # pragma: no cover
+@compiled()
+def exponentials(x: FloatArray) -> None:
     """Replace every number of ``x`` (n,) by its exponential, right to 1 part in 2e15.
 
     exp(x) = 2^n exp(r) with n the nearest integer to x/ln 2 and \\|r\\| < ln(2)/2; exp(r) by its

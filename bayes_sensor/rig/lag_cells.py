@@ -9,10 +9,10 @@ from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.rig.exponential import exponentials
 
 GROWTH = 1.06
@@ -34,8 +34,8 @@ class Cells(NamedTuple):
     """(n,) at their ends; it may jump to the next begin"""
 
 
-@njit(cache=True, inline="always")
-def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
+@compiled(inside=True, forceinline=True)
+def _moments(r: float, decay: float) -> tuple[float, float]:
     # what a lag makes, over a step of r time constants in which it decays by the factor ``decay``,
     # of inputs q and q^2, q the part of the step
     per = 1.0 / max(r, SHORT)
@@ -46,8 +46,8 @@ def _moments(r: float, decay: float) -> tuple[float, float]:  # pragma: no cover
     return m1, m2
 
 
-@njit(cache=True, inline="always")
-def _short_moments(r: float) -> tuple[float, float]:  # pragma: no cover
+@compiled(inside=True, forceinline=True)
+def _short_moments(r: float) -> tuple[float, float]:
     # the same by their series
     return (
         r * (0.5 - r / 6.0 * (1.0 - 0.25 * r)),
@@ -55,14 +55,14 @@ def _short_moments(r: float) -> tuple[float, float]:  # pragma: no cover
     )
 
 
-@njit(cache=True, inline="always")
-def _curve(a: float, m: float, b: float) -> tuple[float, float]:  # pragma: no cover
+@compiled(inside=True, forceinline=True)
+def _curve(a: float, m: float, b: float) -> tuple[float, float]:
     # rise and bend of the quadratic a + rise q + bend q^2 that passes a, m, b at q = 0, 1/2, 1
     return 4.0 * m - 3.0 * a - b, 2.0 * a - 4.0 * m + 2.0 * b
 
 
-@njit(cache=True, inline="always")
-def advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragma: no cover
+@compiled(inside=True, forceinline=True)
+def advance(x: float, r: float, a: float, m: float, b: float) -> float:
     # a lag's state after r time constants under an input that passes a, m, b
     decay = exp(-r)
     m1, m2 = _moments(r, decay)
@@ -70,25 +70,26 @@ def advance(x: float, r: float, a: float, m: float, b: float) -> float:  # pragm
     return a + decay * (x - a) + m1 * rise + m2 * bend
 
 
-@njit(cache=True, error_model="numpy")
-def lag_states(cells: Cells, rates: FloatArray) -> FloatArray:  # pragma: no cover
+@compiled(inside=True)
+def lag_states(cells: Cells, rates: FloatArray, states: FloatArray) -> None:
     # a lag's states (n + 1,) at the ends of n cells, its rate another one in each
     h, a, m, b = cells
     n = len(h)
-    decay = -rates * h
+    decay = np.empty(n)
+    for i in range(n):
+        decay[i] = -rates[i] * h[i]
     exponentials(decay)
     driven = np.empty(n)
     for i in range(n):
         m1, m2 = _moments(rates[i] * h[i], decay[i])
         rise, bend = _curve(a[i], m[i], b[i])
         driven[i] = a[i] * (1.0 - decay[i]) + m1 * rise + m2 * bend
-    states = np.zeros(n + 1)
+    states[0] = 0.0
     for i in range(n):
         states[i + 1] = decay[i] * states[i] + driven[i]
-    return states
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(inside=True)
 def add_within(
     share: float,
     places: NDArray[np.int64],
@@ -97,7 +98,7 @@ def add_within(
     rates: FloatArray,
     states: FloatArray,
     out: FloatArray,
-) -> None:  # pragma: no cover
+) -> None:
     # adds a share of the states that a lag (see :func:`lag_states`) has at times (n_t,) ``since``
     # the begins of the cells at these ``places`` (n_t,)
     h, a, m, b = cells
@@ -112,12 +113,14 @@ def add_within(
         of_cell[i, 3] = share * bend * per * per
         of_cell[i, 4] = rates[i]
         of_cell[i, 5] = 1.0 / rates[i]
-    decay = -rates[places] * since
+    decay = np.empty(len(places))
+    for q in range(len(places)):
+        decay[q] = -rates[places[q]] * since[q]
     exponentials(decay)
     for q in range(len(places)):
-        start, away, rise, bend, rate, tau = of_cell[places[q]]
-        s = since[q]
-        r = rate * s
+        cell, s = of_cell[places[q]], since[q]
+        start, away, rise, bend, tau = cell[0], cell[1], cell[2], cell[3], cell[5]
+        r = cell[4] * s
         s1 = s - (1.0 - decay[q]) * tau  # what the lag makes of inputs s and s^2
         s2 = s * s - 2.0 * s1 * tau
         if r < SHORT:
@@ -126,10 +129,10 @@ def add_within(
         out[q] += start + decay[q] * away + rise * s1 + bend * s2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def add_butterworth(
     places: NDArray[np.int64], since: FloatArray, cells: Cells, time: float, out: FloatArray
-) -> None:  # pragma: no cover
+) -> None:
     # adds what a low-pass of two poles makes of the cells at times (n_t,) as in add_within, exact:
     # T^2 y'' + sqrt(2) T y' + y = u, at rest before the first cell
     h, a, m, b = cells
@@ -145,68 +148,62 @@ def add_butterworth(
         level = a[i] - np.sqrt(2.0) * slope * time - 2.0 * square * time * time
         cosine = y - level
         sine = (v - slope) / sigma + cosine
-        of_cell[i] = level, slope, square, cosine, sine
+        of_cell[i, 0], of_cell[i, 1], of_cell[i, 2] = level, slope, square
+        of_cell[i, 3], of_cell[i, 4] = cosine, sine
         s = h[i]
         decay, c, d = np.exp(-sigma * s), np.cos(sigma * s), np.sin(sigma * s)
         y = level + s * (slope + s * square) + decay * (cosine * c + sine * d)
         v = slope + 2.0 * s * square + sigma * decay * ((sine - cosine) * c - (sine + cosine) * d)
     for q in range(len(places)):
-        level, slope, square, cosine, sine = of_cell[places[q]]
-        s = since[q]
-        swing = cosine * np.cos(sigma * s) + sine * np.sin(sigma * s)
-        out[q] += level + s * (slope + s * square) + np.exp(-sigma * s) * swing
+        cell, s = of_cell[places[q]], since[q]
+        swing = cell[3] * np.cos(sigma * s) + cell[4] * np.sin(sigma * s)
+        out[q] += cell[0] + s * (cell[1] + s * cell[2]) + np.exp(-sigma * s) * swing
 
 
-@njit(cache=True)
-def growing_grid(start: float, end: float, first: float) -> FloatArray:  # pragma: no cover
-    n = 1
-    step, s = first, 0.0
-    while s < end - start:
+@compiled(inside=True)
+def grow_grid(grid: FloatArray, at: int, end: float, first: float) -> int:
+    # continues a grid, whose last point is number ``at``, to ``end``; returns that one's number
+    begin, step, s, away = at, first, 0.0, end - grid[at]
+    while s < away:
+        at += 1
+        grid[at] = grid[at - 1] + step
         s += step
         step *= GROWTH
-        n += 1
-    grid = np.empty(n)
-    grid[0] = start
-    step = first
-    for i in range(1, n):
-        grid[i] = grid[i - 1] + step
-        step *= GROWTH
-    grid[n - 1] = end
-    if n > 2 and grid[n - 1] - grid[n - 2] < 0.3 * (grid[n - 2] - grid[n - 3]):
-        grid[n - 2] = 0.5 * (grid[n - 1] + grid[n - 3])  # no sliver before the next switch
-    return grid
+    grid[at] = end
+    if at - begin > 1 and grid[at] - grid[at - 1] < 0.3 * (grid[at - 1] - grid[at - 2]):
+        grid[at - 1] = 0.5 * (grid[at] + grid[at - 2])  # no sliver before the next switch
+    return at
 
 
-@njit(cache=True)
-def middles(
+@compiled(inside=True)
+def fill_middles(
     h: FloatArray,
     x: FloatArray,
     a: FloatArray,
     b: FloatArray,
     rates_a: FloatArray,
     rates_b: FloatArray,
-) -> FloatArray:  # pragma: no cover
+    mid: FloatArray,
+) -> None:
     # states (n,) of a lag in the middles of n cells, from those at their ends (n + 1,): by the
     # cubic through values and slopes, which jump where input (a, b) or rate do at a switch; the
     # slopes are limited where the lag is much faster than the cell
-    mid = np.empty(len(h))
     for i in range(len(h)):
         step = x[i + 1] - x[i]
         slopes = rates_a[i] * (a[i] - x[i]) - rates_b[i] * (b[i] - x[i + 1])
         bend, limit = 0.125 * h[i] * slopes, 0.5 * abs(step)
         mid[i] = 0.5 * (x[i] + x[i + 1]) + min(max(bend, -limit), limit)
-    return mid
 
 
-@njit(cache=True)
+@compiled(inside=True)
 def with_pocket(
-    cells: Cells, rates: FloatArray, share: float, time: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    # x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,) at the ends of n cells:
+    cells: Cells, rates: FloatArray, share: float, time: float, x2: FloatArray, pocket: FloatArray
+) -> None:
+    # fills x2 (n + 1,) and the concentration in a stagnant pocket (n + 1,), both from 0, at the
+    # ends of n cells:
     # x2' = rate (g - x2) + k (pocket - x2), pocket' = (x2 - pocket)/time, k = share/time:
     # two decaying modes, both driven by g
     h, a, m, b = cells
-    x2, pocket = np.zeros(len(h) + 1), np.zeros(len(h) + 1)
     exchange = 1.0 / time
     k = share * exchange
     for i in range(len(h)):
@@ -222,4 +219,3 @@ def with_pocket(
         zs = advance(zs, slow * h[i], gs * a[i], gs * m[i], gs * b[i])
         pocket[i + 1] = (zf - zs) / (vf - vs)
         x2[i + 1] = zf - vf * pocket[i + 1]
-    return x2, pocket

@@ -297,13 +297,17 @@ class Layout:
         return np.tile([0.0, np.nan, 0.0], len(self.noise_names) // 3)
 
     def _flat_of_mapping(self, theta: Mapping[str, Any]) -> FloatArray:
-        vector = np.concatenate(
-            [np.full(self.n_mean, np.nan), self._no_noise(), np.full(len(self.extra), np.nan)]
-        )
         found = dict(theta)
         nested = found.pop("experiments", {})
         for name, values in nested.items():
             found.update({f"{kind}[{name}]": value for kind, value in values.items()})
+        if found.keys() == self._positions.keys():  # the usual case, once per evaluation
+            vector = np.array([found[name] for name in self._names], dtype=float)
+            if not np.isnan(vector).any():
+                return vector
+        vector = np.concatenate(
+            [np.full(self.n_mean, np.nan), self._no_noise(), np.full(len(self.extra), np.nan)]
+        )
         for name, position in self._positions.items():
             # a shared noise value also serves a layout with noise per experiment or sensor
             value = found.get(name, found.get(name.split("[")[0]) if name[:3] in _NOISE3 else None)

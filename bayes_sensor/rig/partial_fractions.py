@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from math import exp
 
-from numba import njit
-
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
+from bayes_sensor.rig.sorting import sort
 
 
-@njit(cache=True, error_model="numpy")
-def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
+@compiled()
+def sorted_apart(taus: FloatArray) -> None:
     """Sort ``taus`` (n,), rising, and move them apart: three by a thousandth at least.
 
     Partial fractions, which grow with the power n - 1 of the inverse distance, then keep ten
     digits.
     """
-    taus.sort()
+    sort(taus)
     factor = 1.001
     if len(taus) > 3:
         factor += 10.0 ** (-6.0 / (len(taus) - 1)) - 0.001
@@ -29,8 +29,8 @@ def sorted_apart(taus: FloatArray) -> None:  # pragma: no cover - compiled
             taus[j] = taus[j - 1] * factor
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no cover - compiled
+@compiled(forceinline=True)
+def partial_fractions(taus: FloatArray, c: FloatArray) -> None:
     """c_j (n,) of the step response 1 - sum_j c_j exp(-s/tau_j), for ``taus`` that are apart."""
     n = len(taus)
     for j in range(n):
@@ -40,10 +40,8 @@ def partial_fractions(taus: FloatArray, c: FloatArray) -> None:  # pragma: no co
                 c[j] *= taus[j] / (taus[j] - taus[m])
 
 
-@njit(cache=True, error_model="numpy")
-def quick_step_response(
-    s: float, taus: FloatArray, c: FloatArray
-) -> float:  # pragma: no cover - compiled
+@compiled()
+def quick_step_response(s: float, taus: FloatArray, c: FloatArray) -> float:
     """The step response by :func:`partial_fractions` ``c`` of rising ``taus``; 1 after 30 of the
     slowest."""
     if s <= 0.0:

@@ -15,25 +15,27 @@ it changes; effects on different settings can therefore act together.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, exp, log, sqrt
+from math import cos, exp, log, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.rig.exponential import exponentials
 from bayes_sensor.rig.lag_cells import (
+    GROWTH,
     Cells,
     add_butterworth,
     add_within,
     advance,
-    growing_grid,
+    fill_middles,
+    grow_grid,
     lag_states,
-    middles,
     with_pocket,
 )
+from bayes_sensor.rig.sorting import sort
 
 GAS, SENSOR, READOUT = "gas", "sensor", "readout"
 """stages: what one of them changes leaves those before it as they are"""
@@ -168,50 +170,38 @@ def settings_vector(settings: Mapping[str, float]) -> FloatArray:
 
 
 # --------------------------------------------------------------------------- the valve
+# --------------------------------------------------------------------------- the valve
 
 
-@njit(cache=True, error_model="numpy")
-def _opening(
-    since: FloatArray, tau: float, inertia: float, stroke: float, bend: float
-) -> FloatArray:  # pragma: no cover
-    # step response (n,) of the valve, s after the command; 0 before it
-    s = np.maximum(since, 0.0)
+@compiled(inside=True)
+def _opening(s: float, tau: float, inertia: float, stroke: float, bend: float) -> float:
+    # step response of the valve s after the command; 0 before it
+    if s <= 0.0:
+        return 0.0
     if stroke > 0.0:  # the lag's response to a command (1 - bend) q + bend q^2, q = s/stroke
-        ramping = np.minimum(s, stroke)
-        late = (ramping - s) / tau
-        exponentials(late)
-        gone = -ramping / tau
-        exponentials(gone)
-        for i in range(len(s)):
-            left = ramping[i] - tau * (1.0 - gone[i])
-            x = left / stroke
-            square = ramping[i] * ramping[i] - 2.0 * tau * left
-            x += bend * (square / (stroke * stroke) - x)
-            s[i] = 1.0 - (1.0 - x) * late[i]
-        return s
-    if inertia > 1e-9:
-        gap = 1.0 - 4.0 * inertia
-        if gap > 1e-6:
-            slow = 0.5 * tau * (1.0 + sqrt(gap))
-            fast = inertia * tau * tau / slow
-            slowly, quickly = -s / slow, -s / fast
-            exponentials(slowly)
-            exponentials(quickly)
-            return 1.0 - (slow * slowly - fast * quickly) / (slow - fast)
-        rate = 0.5 / (inertia * tau)
-        decay = -rate * s
-        exponentials(decay)
-        if gap < -1e-6:
-            omega = rate * sqrt(-gap)
-            return 1.0 - decay * (np.cos(omega * s) + rate / omega * np.sin(omega * s))
-        return 1.0 - decay * (1.0 + rate * s)
-    decay = -s / tau
-    exponentials(decay)
-    return 1.0 - decay
+        ramping = min(s, stroke)
+        left = ramping - tau * (1.0 - exp(-ramping / tau))
+        x = left / stroke
+        square = ramping * ramping - 2.0 * tau * left
+        x += bend * (square / (stroke * stroke) - x)
+        return 1.0 - (1.0 - x) * exp((ramping - s) / tau)
+    if inertia <= 1e-9:
+        return 1.0 - exp(-s / tau)
+    gap = 1.0 - 4.0 * inertia
+    if gap > 1e-6:
+        slow = 0.5 * tau * (1.0 + sqrt(gap))
+        fast = inertia * tau * tau / slow
+        return 1.0 - (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
+    rate = 0.5 / (inertia * tau)
+    swing = 1.0 + rate * s
+    if gap < -1e-6:
+        omega = rate * sqrt(-gap)
+        swing = cos(omega * s) + rate / omega * sin(omega * s)
+    return 1.0 - exp(-rate * s) * swing
 
 
-@njit(cache=True)
-def _still_open(even: float, bend: float) -> float:  # pragma: no cover
+@compiled(inside=True)
+def _still_open(even: float, bend: float) -> float:
     # y of tau (1 + bend (y - 1/2)) y' = -y where without the bend it would be ``even``:
     # (1 - bend/2) ln y + bend (y - 1) = ln even, by Newton's method
     if bend == 0.0 or even <= 1e-12:
@@ -227,102 +217,97 @@ def _still_open(even: float, bend: float) -> float:  # pragma: no cover
     return exp(u)
 
 
-@njit(cache=True)
-def _valve(t: FloatArray, p: FloatArray) -> FloatArray:  # pragma: no cover
+@compiled(inside=True)
+def _valve(t: FloatArray, p: FloatArray) -> FloatArray:
     # x1 (n,) at times (n,); a way that is longer for a part of the gas is a valve that opens late
     # for it
-    x = _one_valve(t, p, p[T0], p[TF])
-    if p[LATE] != 0.0:
-        x += p[LATE] * (_one_valve(t, p, p[T0] + p[LATE_RISE], p[TF] + p[LATE_FALL]) - x)
-    return x
-
-
-@njit(cache=True)
-def _one_valve(
-    t: FloatArray, p: FloatArray, t0: float, tf: float
-) -> FloatArray:  # pragma: no cover
-    # x1 (n,) at times (n,) of a valve commanded at t0 and tf
+    n, x, decay = len(t), np.zeros(len(t)), np.empty(len(t))
     tau, share = p[TAU_V] * p[VALVE_FACTOR], p[SLOW_V]
     inertia, stroke, bend = p[INERTIA], p[STROKE], p[BEND]
     alike = p[CLOSING] == 1.0 and p[CLOSING_BEND] == 0.0
-    if alike and inertia <= 1e-9 and stroke <= 0.0:  # one exponential up, one down
-        reached = 1.0 - exp(-max(tf - t0, 0.0) / tau)
-        x = np.empty(len(t))
-        rate = 1.0 / tau
-        for i in range(len(t)):
-            x[i] = rate * (tf - t[i] if t[i] > tf else min(t0 - t[i], 0.0))
-        exponentials(x)
-        for i in range(len(t)):
-            x[i] = reached * x[i] if t[i] > tf else 1.0 - x[i]
-    else:
-        x = _opening(t - t0, tau, inertia, stroke, bend)
-        if alike:  # linear: opening minus shutting
-            x -= _opening(t - tf, tau, inertia, stroke, bend)
-        else:
-            reached = _opening(np.array([tf - t0]), tau, inertia, stroke, bend)[0]
-            shut = _opening(t - tf, tau * p[CLOSING], inertia, stroke, bend)
-            for i in range(len(t)):
-                if t[i] > tf:
-                    x[i] = reached * _still_open(1.0 - shut[i], p[CLOSING_BEND])
-    for i in range(len(t)):
-        since, after = t[i] - t0, t[i] - tf
-        if share != 0.0 and since > 0.0:
-            slow = -exp(-since / p[SLOW_V_TIME])
-            slow += exp(-after / p[SLOW_V_TIME]) if after > 0.0 else 1.0
-            x[i] += share * (slow - x[i])
-        if p[SETTLING] != 0.0 and since > 0.0:
-            gone = exp(-since / p[SETTLING_TIME])
-            x[i] *= 1.0 - p[SETTLING] * gone * cos(p[SETTLING_SWING] * since)
+    plain = alike and inertia <= 1e-9 and stroke <= 0.0  # one exponential up, one down
+    for part in range(2 if p[LATE] != 0.0 else 1):
+        t0, tf = p[T0] + part * p[LATE_RISE], p[TF] + part * p[LATE_FALL]
+        reached = _opening(tf - t0, tau, inertia, stroke, bend)
+        if plain:
+            for i in range(n):
+                decay[i] = (tf - t[i] if t[i] > tf else min(t0 - t[i], 0.0)) / tau
+            exponentials(decay)
+        for i in range(n):
+            since, after = t[i] - t0, t[i] - tf
+            if plain:
+                y = reached * decay[i] if after > 0.0 else 1.0 - decay[i]
+            else:
+                y = _opening(since, tau, inertia, stroke, bend)
+                shut = _opening(after, tau * p[CLOSING], inertia, stroke, bend)
+                if alike:  # linear: opening minus shutting
+                    y -= shut
+                elif after > 0.0:
+                    y = reached * _still_open(1.0 - shut, p[CLOSING_BEND])
+            if share != 0.0 and since > 0.0:
+                slow = -exp(-since / p[SLOW_V_TIME])
+                slow += exp(-after / p[SLOW_V_TIME]) if after > 0.0 else 1.0
+                y += share * (slow - y)
+            if p[SETTLING] != 0.0 and since > 0.0:
+                gone = exp(-since / p[SETTLING_TIME])
+                y *= 1.0 - p[SETTLING] * gone * cos(p[SETTLING_SWING] * since)
+            x[i] += (y - x[i]) * (p[LATE] if part else 1.0)
     return x
 
 
-@njit(cache=True)
+@compiled(inside=True)
 def _manifold(
     t: FloatArray, x1: FloatArray, x1_mid: FloatArray, p: FloatArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, FloatArray]:
     # x2 (n,) and its middles (n - 1,) on the grid
-    h = t[1:] - t[:-1]
-    a, m, b = x1[:-1], x1_mid, x1[1:]
+    n = len(t) - 1
+    cells = Cells(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
+    h, a, m, b = cells
+    rates, rates_a, rates_b = np.empty(n), np.empty(n), np.empty(n)
     filling = p[FLOW] / (p[TAU_M] * (1.0 - p[TANK]))
-    rates = np.full(len(h), filling)
-    rates[np.searchsorted(t[:-1], p[TF]) :] /= p[EMPTYING]
-    rates_a, rates_b = rates, rates
     lost = p[SWITCHING] * p[CONCENTRATION]
-    if lost != 0.0:
-        # the flow through the manifold follows the valve; what enters is Q x1 where the valve is
-        # in the test gas's line, and of concentration x1 where the gases are mixed before it
-        rates_a = rates * (1.0 - lost + lost * a)
-        rates_m = rates * (1.0 - lost + lost * m)
-        rates_b = rates * (1.0 - lost + lost * b)
-        if p[PREMIXED] == 0.0:
-            a, m, b = a * rates / rates_a, m * rates / rates_m, b * rates / rates_b
-        rates = (rates_a + 4.0 * rates_m + rates_b) / 6.0
-    if p[POCKET] <= 0.0:
-        x2 = lag_states(Cells(h, a, m, b), rates)
-    else:  # what the pocket gives back is a second input
-        x2, pocket = with_pocket(Cells(h, a, m, b), rates, p[POCKET], p[POCKET_TIME])
-        k = p[POCKET] / p[POCKET_TIME]
-        a = (rates_a * a + k * pocket[:-1]) / (rates_a + k)
-        b = (rates_b * b + k * pocket[1:]) / (rates_b + k)
-        rates_a, rates_b = rates_a + k, rates_b + k
-    mid = middles(h, x2, a, b, rates_a, rates_b)
-    if p[TANK] > 0.0:
-        rates = np.full(len(h), p[FLOW] / (p[TAU_M] * p[TANK]))
-        a, b = x2[:-1], x2[1:]
-        x2 = lag_states(Cells(h, a, mid, b), rates)
-        mid = middles(h, x2, a, b, rates, rates)
+    for i in range(n):
+        h[i] = t[i + 1] - t[i]
+        a[i], m[i], b[i] = x1[i], x1_mid[i], x1[i + 1]
+        rate = filling / p[EMPTYING] if t[i] >= p[TF] else filling
+        rates[i] = rates_a[i] = rates_b[i] = rate
+        if lost != 0.0:
+            # the flow through the manifold follows the valve; what enters is Q x1 where the valve
+            # is in the test gas's line, and of concentration x1 where the gases are mixed before it
+            rates_a[i] = rate * (1.0 - lost + lost * a[i])
+            rate_m = rate * (1.0 - lost + lost * m[i])
+            rates_b[i] = rate * (1.0 - lost + lost * b[i])
+            if p[PREMIXED] == 0.0:
+                a[i] *= rate / rates_a[i]
+                m[i] *= rate / rate_m
+                b[i] *= rate / rates_b[i]
+            rates[i] = (rates_a[i] + 4.0 * rate_m + rates_b[i]) / 6.0
+    x2, mid = np.zeros(n + 1), np.empty(n)
+    if p[POCKET] > 0.0:  # what the pocket gives back is a second input
+        pocket, k = np.zeros(n + 1), p[POCKET] / p[POCKET_TIME]
+        with_pocket(cells, rates, p[POCKET], p[POCKET_TIME], x2, pocket)
+        for i in range(n):
+            a[i] = (rates_a[i] * a[i] + k * pocket[i]) / (rates_a[i] + k)
+            b[i] = (rates_b[i] * b[i] + k * pocket[i + 1]) / (rates_b[i] + k)
+            rates_a[i] += k
+            rates_b[i] += k
+    for tank in range(2 if p[TANK] > 0.0 else 1):
+        if tank:
+            for i in range(n):
+                a[i], m[i], b[i] = x2[i], mid[i], x2[i + 1]
+                rates[i] = rates_a[i] = rates_b[i] = p[FLOW] / (p[TAU_M] * p[TANK])
+        if tank or p[POCKET] <= 0.0:
+            lag_states(cells, rates, x2)
+        fill_middles(h, x2, a, b, rates_a, rates_b, mid)
     return x2, mid
 
 
 # --------------------------------------------------------------------------- from gas to volts
 
 
-@njit(cache=True)
-def _gas(
-    last: float, p: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # pragma: no cover
-    # a grid (n,) s from t0 to the last time, x2 (n,) on it and (n - 1,) in the middles of its cells
-    t0, tf = p[T0], p[TF]
+@compiled(inside=True)
+def _grid(last: float, p: FloatArray) -> FloatArray:
+    # (n,) s, from t0 to the last time
     first = min(p[TAU_V] * p[VALVE_FACTOR], p[TAU_M] / p[FLOW] * min(1.0, p[EMPTYING]))
     if p[CLOSING] < 1.0 or p[CLOSING_BEND] != 0.0:
         first = min(first, p[CLOSING] * p[TAU_V] * (1.0 - 0.5 * abs(p[CLOSING_BEND])))
@@ -336,19 +321,35 @@ def _gas(
         first = min(first, 2.0 * p[SETTLING_TIME])
     first /= CELLS_PER_TIME_CONSTANT
     # the valve's motion breaks off at these times: a new grid begins at each
-    events = np.array([t0, tf, t0 + p[LATE_RISE], tf + p[LATE_FALL]])
-    events = np.sort(events if p[LATE] != 0.0 else events[:2])
-    t = np.array([t0])
-    for i in range(len(events)):
-        until = min(events[i + 1], last) if i + 1 < len(events) else last
-        if until - t[-1] > 1e-3 * first:
-            t = np.concatenate((t, growing_grid(t[-1], until, first)[1:]))
-    x1, x1_mid = _valve(t, p), _valve(0.5 * (t[:-1] + t[1:]), p)
-    x2, x2_mid = _manifold(t, x1, x1_mid, p)
+    events = np.array([p[T0], p[TF], p[T0] + p[LATE_RISE], p[TF] + p[LATE_FALL]])
+    used = 4 if p[LATE] != 0.0 else 2
+    sort(events[:used])
+    most = log(1.0 + (GROWTH - 1.0) * max(last - p[T0], 0.0) / first) / log(GROWTH)
+    t, at = np.empty(int(used * (most + 3.0)) + 1), 0
+    t[0] = p[T0]
+    for i in range(used):
+        until = min(events[i + 1], last) if i + 1 < used else last
+        if until - t[at] > 1e-3 * first:
+            at = grow_grid(t, at, until, first)
+    return t[: at + 1]
+
+
+@compiled()
+def _gas(last: float, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    # a grid (n,) s from t0 to the last time, x2 (n,) on it and (n - 1,) in the middles of its cells
+    t = _grid(last, p)
+    n = len(t)
+    both = np.empty(2 * n - 1)  # the grid, then its middles
+    for i in range(n):
+        both[i] = t[i]
+        if i:
+            both[n + i - 1] = 0.5 * (t[i - 1] + t[i])
+    x1 = _valve(both, p)
+    x2, x2_mid = _manifold(t, x1[:n], x1[n:], p)
     return t, x2, x2_mid
 
 
-@njit(cache=True)
+@compiled()
 def _sensed(
     times: FloatArray,
     p: FloatArray,
@@ -357,19 +358,23 @@ def _sensed(
     x2_mid: FloatArray,
     mode_share: FloatArray,
     mode_ratio: FloatArray,
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     # x3 at sorted times, of the gas x2 on the grid t
-    out = np.zeros(len(times))
-    if times[-1] > p[T0]:
-        _add_response(times, p, t, x2, x2_mid, mode_share, mode_ratio, out)
+    out, before, n = np.zeros(len(times)), 0, len(t) - 1
+    while before < len(times) and times[before] <= p[T0]:
+        before += 1
+    if before < len(times) and n > 0:
+        places, since = _places(times[before:], t)
+        _add_response(places, since, p, t, x2, x2_mid, mode_share, mode_ratio, out[before:])
     if p[CARRY] != 0.0:
         _add_carried(times, p, out)
     return out
 
 
-@njit(cache=True)
+@compiled(inside=True)
 def _add_response(
-    times: FloatArray,
+    places: NDArray[np.int64],
+    since: FloatArray,
     p: FloatArray,
     t: FloatArray,
     x2: FloatArray,
@@ -377,47 +382,46 @@ def _add_response(
     mode_share: FloatArray,
     mode_ratio: FloatArray,
     out: FloatArray,
-) -> None:  # pragma: no cover
-    if len(t) < 2:
-        return
+) -> None:
+    # the sensor's lags in parallel, then the low-passes in a row: each is a round, which takes what
+    # the one before makes at the ends and in the middles of the cells
+    n = len(t) - 1
     share, tau = _modes(p, mode_share, mode_ratio)
-    h = t[1:] - t[:-1]
-    gas = Cells(h, x2[:-1], x2_mid, x2[1:])
-    k = 0
-    while times[k] <= p[T0]:
-        k += 1
-    places, since = _places(times[k:], t)
-    low_pass = max(p[FILTER], p[FILTER_BUTTERWORTH])
-    # a low-pass takes all that the lags make, at the ends and in the middles of the cells
-    x3 = np.zeros(len(t))
-    at, after, made = places, since, out[k:]
-    if low_pass > 0.0:
-        at, after, made = np.arange(len(h)), 0.5 * h, np.zeros(len(h))
-    for j in range(len(share)):
-        rates, states = _sensor(gas, tau[j], p[RELEASE], p[RELEASE_WIDTH])
-        add_within(share[j], at, after, gas, rates, states, made)
-        if low_pass > 0.0:
-            x3 += share[j] * states
-    if low_pass > 0.0:
-        sensed = Cells(h, x3[:-1], made, x3[1:])
-        if p[FILTER_BUTTERWORTH] > 0.0:
-            add_butterworth(places, since, sensed, low_pass, out[k:])
+    cells = Cells(np.empty(n), x2[:-1], x2_mid, x2[1:])
+    all_places, half = np.empty(n, np.int64), np.empty(n)
+    for i in range(n):
+        all_places[i] = i
+        cells.h[i] = t[i + 1] - t[i]
+        half[i] = 0.5 * cells.h[i]
+    filters = (p[FILTER], p[FILTER_SECOND] if p[FILTER] > 0.0 else 0.0)
+    n_filters = (filters[0] > 0.0) + (filters[1] > 0.0)
+    swings = p[FILTER_BUTTERWORTH] > 0.0
+    if swings:
+        n_filters = 1
+    rates, states = np.empty(n), np.empty(n + 1)
+    for lag in range(n_filters + 1):
+        if lag and swings:
+            add_butterworth(places, since, cells, max(p[FILTER], p[FILTER_BUTTERWORTH]), out)
             return
-        rates = np.full(len(h), 1.0 / low_pass)
-        passed = lag_states(sensed, rates)
-        if p[FILTER_SECOND] > 0.0:
-            middles = np.zeros(len(h))
-            add_within(1.0, at, after, sensed, rates, passed, middles)
-            sensed = Cells(h, passed[:-1], middles, passed[1:])
-            rates = np.full(len(h), 1.0 / p[FILTER_SECOND])
-            passed = lag_states(sensed, rates)
-        add_within(1.0, places, since, sensed, rates, passed, out[k:])
+        last = lag == n_filters
+        x3, mid = np.zeros(n + 1), np.zeros(n)
+        for j in range(1 if lag else len(share)):
+            part = 1.0 if lag else share[j]
+            time = filters[lag - 1] if lag else tau[j]
+            _sensor(cells, time, 1.0 if lag else p[RELEASE], p[RELEASE_WIDTH], rates, states)
+            if last:
+                add_within(part, places, since, cells, rates, states, out)
+            else:
+                add_within(part, all_places, half, cells, rates, states, mid)
+                for i in range(n + 1):
+                    x3[i] += part * states[i]
+        cells = Cells(cells.h, x3[:-1], mid, x3[1:])
 
 
-@njit(cache=True)
+@compiled(inside=True)
 def _modes(
     p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, FloatArray]:
     # shares (n_modes,) and time constants (n_modes,) s of the sensor's parallel lags: the single
     # one, those of the coating, and slow sites
     n_modes = len(mode_share)
@@ -431,22 +435,28 @@ def _modes(
             tau[used] = tau[0] * mode_ratio[j]
             used += 1
     if p[SLOW_S] != 0.0:
-        share[used] = p[SLOW_S]
-        tau[used] = p[SLOW_S_TIME]
-        used += 1
-        if p[SLOW_S_SPREAD] != 1.0:
-            share[used - 1] *= 0.5
-            for factor in (p[SLOW_S_SPREAD], 1.0 / p[SLOW_S_SPREAD]):
-                share[used] = 0.25 * p[SLOW_S]
-                tau[used] = p[SLOW_S_TIME] * factor
-                used += 1
+        spread = p[SLOW_S_SPREAD]
+        for part in range(1 if spread == 1.0 else 3):
+            share[used] = p[SLOW_S] * _share_of(part, spread)
+            tau[used] = p[SLOW_S_TIME] * _factor_of(part, spread)
+            used += 1
     return share[:used], tau[:used]
 
 
-@njit(cache=True)
-def _places(
-    times: FloatArray, t: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray]:  # pragma: no cover
+@compiled(inside=True)
+def _share_of(part: int, spread: float) -> float:
+    # of a lag that is spread: half of it is as it is, a quarter each slower and faster
+    return 1.0 if spread == 1.0 else (0.5 if part == 0 else 0.25)
+
+
+@compiled(inside=True)
+def _factor_of(part: int, spread: float) -> float:
+    # .. and by how much
+    return 1.0 if part == 0 else (spread if part == 1 else 1.0 / spread)
+
+
+@compiled(inside=True)
+def _places(times: FloatArray, t: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     # the cell of the grid t in which each of the sorted times (n_t,) lies, what is after the last
     # in the last, and the time since its begin
     places, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
@@ -459,31 +469,32 @@ def _places(
     return places, since
 
 
-@njit(cache=True)
+@compiled(inside=True)
 def _sensor(
-    cells: Cells, tau: float, ratio: float, width: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    cells: Cells, tau: float, ratio: float, width: float, rates: FloatArray, states: FloatArray
+) -> None:
     # one of the sensor's lags: its rates (n,) in the cells and its states (n + 1,) at their ends.
     # It releases more slowly by ``ratio`` than it takes up, each lag by what drives it: one that
     # is in equilibrium drives itself by rounding alone
     h, a, m, b = cells
-    rates = np.full(len(h), 1.0 / tau)
-    if ratio == 1.0:
-        return rates, lag_states(cells, rates)
-    states, log_ratio = np.zeros(len(h) + 1), log(ratio)
     for i in range(len(h)):
-        slower = _slower(m[i] - states[i], log_ratio, width)
+        rates[i] = 1.0 / tau
+    if ratio == 1.0:
+        lag_states(cells, rates, states)
+        return
+    states[0], log_ratio = 0.0, log(ratio)
+    for i in range(len(h)):
+        drive = m[i] - states[i]
         if width > 0.0:  # the state half a cell on is nearer to what counts
+            slower = _slower(drive, log_ratio, width)
             half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
-            half = advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
-            slower = _slower(m[i] - half, log_ratio, width)
-        rates[i] /= slower
+            drive = m[i] - advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
+        rates[i] /= _slower(drive, log_ratio, width)
         states[i + 1] = advance(states[i], h[i] * rates[i], a[i], m[i], b[i])
-    return rates, states
 
 
-@njit(cache=True, inline="always")
-def _slower(drive: float, log_ratio: float, width: float) -> float:  # pragma: no cover
+@compiled(inside=True)
+def _slower(drive: float, log_ratio: float, width: float) -> float:
     # factor on the sensor's time constant where what drives it exceeds its state by this much:
     # the ratio to the power (1 - tanh(drive/width))/2
     if width > 0.0:
@@ -491,56 +502,28 @@ def _slower(drive: float, log_ratio: float, width: float) -> float:  # pragma: n
     return exp(log_ratio) if drive < 0.0 else 1.0
 
 
-@njit(cache=True)
-def rig_response(
-    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
-) -> FloatArray:  # pragma: no cover
-    """x3 (n_t,), the concentration that the readout sees, at sorted ``times`` (n_t,) s."""
-    t, x2, x2_mid = _gas(times[-1], p)
-    return _sensed(times, p, t, x2, x2_mid, mode_share, mode_ratio)
-
-
-@njit(cache=True)
-def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:  # pragma: no cover
+@compiled(inside=True)
+def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
     # gas left from before: it leaves with the manifold's time constant, or with one of its own or
     # a spread of them, and lags in the sensor, which was in equilibrium with it when the record
     # began
-    slow = p[CARRY_TIME]
-    if slow <= 0.0:
-        slow = p[TAU_M] / p[FLOW]
     spread = p[CARRY_SPREAD]
-    if spread == 1.0:
-        _add_leaving(times, p[START], p[CARRY], slow, p[TAU], out)
-    else:
-        _add_leaving(times, p[START], 0.5 * p[CARRY], slow, p[TAU], out)
-        for factor in (spread, 1.0 / spread):
-            _add_leaving(times, p[START], 0.25 * p[CARRY], slow * factor, p[TAU], out)
+    for part in range(1 if spread == 1.0 else 3):
+        share = p[CARRY] * _share_of(part, spread)
+        slow = p[CARRY_TIME] if p[CARRY_TIME] > 0.0 else p[TAU_M] / p[FLOW]
+        slow *= _factor_of(part, spread)
+        fast = p[TAU]
+        if abs(slow - fast) < 1e-6 * slow:
+            fast = slow * (1.0 - 1e-6)
+        for i in range(len(times)):
+            s = times[i] - p[START]
+            if s >= 0.0:
+                out[i] += share * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
 
 
-@njit(cache=True)
-def _add_leaving(
-    times: FloatArray, start: float, share: float, slow: float, tau: float, out: FloatArray
-) -> None:  # pragma: no cover
-    fast = tau
-    if abs(slow - fast) < 1e-6 * slow:
-        fast = slow * (1.0 - 1e-6)
-    for i in range(len(times)):
-        s = times[i] - start
-        if s >= 0.0:
-            out[i] += share * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
-
-
-@njit(cache=True)
-def rig_mean(
-    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
-) -> FloatArray:  # pragma: no cover
-    """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
-    return _read(times, p, rig_response(times, p, mode_share, mode_ratio))
-
-
-@njit(cache=True)
-def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:  # pragma: no cover
-    # V at the times of a response x3
+@compiled()
+def _read(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -> FloatArray:
+    # V at the times of a response x3, with a step of the baseline of ``step`` V
     y0, beta, middle, cubic = p[Y0], p[BETA], p[MIDDLE], p[CUBIC]
     # towards the step: a signal upside down bends upside down
     curvature = p[CURVATURE] if beta >= 0.0 else -p[CURVATURE]
@@ -554,71 +537,50 @@ def _read(times: FloatArray, p: FloatArray, response: FloatArray) -> FloatArray:
         gained = since * (gain + since * (gain_curve + since * gain_twist))
         v += v * gained + y0 * (1.0 + of_all * gained)
         volts[i] = v + since * (drift + since * (drift_curve + since * drift_twist))
-    if p[STEP] != 0.0:
+    if step != 0.0:
         step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
         for i in range(len(times)):
             if times[i] >= step_time:
                 settled = 1.0
                 if p[STEP_WIDTH] > 0.0:
                     settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
-                volts[i] += p[STEP] * settled
+                volts[i] += step * settled
     return volts
 
 
-@njit(cache=True)
-def step_means(low: FloatArray, high: FloatArray, p: FloatArray) -> FloatArray:  # pragma: no cover
-    """(n_bins,) V: means of the baseline's step between ``low`` and ``high`` (n_bins,) s.
-
-    Exact, where a few times in a bin would not tell where in it the step is.
-    """
-    made = np.zeros(len(low))
-    if p[STEP] == 0.0:
-        return made
+@compiled(inside=True)
+def _step_mean(low: float, high: float, p: FloatArray) -> float:
+    # V: mean of the baseline's step between ``low`` and ``high`` s; exact, where a few times in a
+    # bin would not tell where in it the step is
     begin = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
-    width = p[STEP_WIDTH]
-    for i in range(len(low)):
-        if high[i] > begin:
-            first = max(low[i] - begin, 0.0)
-            last = high[i] - begin
-            area = last - first
-            if width > 0.0:
-                area -= width * (exp(-first / width) - exp(-last / width))
-            made[i] = p[STEP] * area / (high[i] - low[i])
-    return made
+    if high <= begin:
+        return 0.0
+    width, first, last = p[STEP_WIDTH], max(low - begin, 0.0), high - begin
+    area = last - first
+    if width > 0.0:
+        area -= width * (exp(-first / width) - exp(-last / width))
+    mean: float = p[STEP] * area / (high - low)
+    return mean
 
 
-@njit(cache=True)
-def campaign_means(
-    times: FloatArray,
-    weights: FloatArray,
-    starts: NDArray[np.int64],
-    low: FloatArray,
-    high: FloatArray,
-    of_times: NDArray[np.int64],
-    of_bins: NDArray[np.int64],
-    p: FloatArray,
-    mode_share: FloatArray,
-    mode_ratio: FloatArray,
-) -> FloatArray:  # pragma: no cover
-    """(n_bins,) V: means of the bins of all experiments, each with its own row of ``p``.
-
-    Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_times,) s is
-    summed with the ``weights`` (n_times,).  One experiment comes after the other: ``of_times`` and
-    ``of_bins`` (n_experiments + 1,) say where each begins and the last ends, and ``starts``
-    (n_bins,) which of its experiment's times is a bin's first.
-    """
-    made = np.empty(len(starts))
-    for k in range(len(p)):
-        here = slice(of_bins[k], of_bins[k + 1])
-        at = times[of_times[k] : of_times[k + 1]]
-        weight = weights[of_times[k] : of_times[k + 1]]
-        x3 = rig_response(at, p[k], mode_share, mode_ratio)
-        _average(at, weight, starts[here], low[here], high[here], p[k], x3, made[here])
-    return made
+def rig_response(
+    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> FloatArray:
+    """x3 (n_t,), the concentration that the readout sees, at sorted ``times`` (n_t,) s."""
+    x3: FloatArray = _sensed(times, p, *_gas(times[-1], p), mode_share, mode_ratio)
+    return x3
 
 
-@njit(cache=True)
-def moved_means(
+def rig_mean(
+    times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
+) -> FloatArray:
+    """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
+    volts: FloatArray = _read(times, p, rig_response(times, p, mode_share, mode_ratio), p[STEP])
+    return volts
+
+
+@compiled()
+def rig_means(
     times: FloatArray,
     weights: FloatArray,
     starts: NDArray[np.int64],
@@ -630,65 +592,45 @@ def moved_means(
     of_rigs: NDArray[np.int64],
     mode_share: FloatArray,
     mode_ratio: FloatArray,
-) -> FloatArray:  # pragma: no cover
-    """(n_bins, most rows of an experiment less one) V: the same for several rigs of each.
+) -> FloatArray:
+    """(n_bins, most rigs of an experiment) V: means of the bins of all experiments.
 
-    The rows of experiment k begin at ``of_rigs[k]`` (n_experiments + 1,), with a rig that is not
-    asked for: what the others have in common with it is computed once.  Where an experiment has
-    fewer rigs than another, zeros fill up.
+    Of each bin, from ``low`` to ``high`` (n_bins,) s, the voltage at its ``times`` (n_times,) s is
+    summed with the ``weights`` (n_times,).  One experiment comes after the other: ``of_times`` and
+    ``of_bins`` (n_experiments + 1,) say where each begins and the last ends, and ``starts``
+    (n_bins,) which of its experiment's times is a bin's first.  Its rigs are the rows of ``p`` from
+    ``of_rigs[k]`` to ``of_rigs[k + 1]`` (n_experiments + 1,): what the others have in common with
+    the first is computed once.  Where an experiment has fewer rigs than another, zeros fill up.
     """
     most = 0
     for k in range(len(of_rigs) - 1):
-        most = max(most, of_rigs[k + 1] - of_rigs[k] - 1)
+        most = max(most, of_rigs[k + 1] - of_rigs[k])
     made = np.zeros((len(starts), most))
+    no_gas = (np.empty(0), np.empty(0), np.empty(0))
     for k in range(len(of_rigs) - 1):
-        here = slice(of_bins[k], of_bins[k + 1])
         at = times[of_times[k] : of_times[k + 1]]
         weight = weights[of_times[k] : of_times[k + 1]]
-        common = p[of_rigs[k]]
-        t, x2, x2_mid = _gas(at[-1], common)
-        response = _sensed(at, common, t, x2, x2_mid, mode_share, mode_ratio)
-        column = np.empty(of_bins[k + 1] - of_bins[k])
-        for i in range(of_rigs[k] + 1, of_rigs[k + 1]):
-            if _same(p[i], common, _before_the_readout):
-                x3 = response
-            elif _same(p[i], common, _of_the_gas):
-                x3 = _sensed(at, p[i], t, x2, x2_mid, mode_share, mode_ratio)
-            else:
-                x3 = rig_response(at, p[i], mode_share, mode_ratio)
-            _average(at, weight, starts[here], low[here], high[here], p[i], x3, column)
-            made[here, i - of_rigs[k] - 1] = column
+        first, first_gas, first_x3 = of_rigs[k], no_gas, at
+        for i in range(first, of_rigs[k + 1]):
+            gas, x3 = first_gas, first_x3
+            if i == first or not _same(p[i], p[first], _of_the_gas):
+                gas = _gas(at[-1], p[i])
+            if i == first or not _same(p[i], p[first], _before_the_readout):
+                x3 = _sensed(at, p[i], gas[0], gas[1], gas[2], mode_share, mode_ratio)
+            if i == first:
+                first_gas, first_x3 = gas, x3
+            volts = _read(at, p[i], x3, 0.0)
+            for b in range(of_bins[k], of_bins[k + 1]):
+                end = starts[b + 1] if b + 1 < of_bins[k + 1] else len(at)
+                for q in range(starts[b], end):
+                    made[b, i - first] += weight[q] * volts[q]
+                if p[i, STEP] != 0.0:
+                    made[b, i - first] += _step_mean(low[b], high[b], p[i])
     return made
 
 
-@njit(cache=True)
-def _average(
-    times: FloatArray,
-    weights: FloatArray,
-    starts: NDArray[np.int64],
-    low: FloatArray,
-    high: FloatArray,
-    p: FloatArray,
-    response: FloatArray,
-    made: FloatArray,
-) -> None:  # pragma: no cover
-    # means (n_bins,) of the voltage of a response x3, into ``made``
-    step, p = p[STEP], p.copy()
-    p[STEP] = 0.0
-    volts = _read(times, p, response)
-    for b in range(len(starts)):
-        end = starts[b + 1] if b + 1 < len(starts) else len(times)
-        total = 0.0
-        for k in range(starts[b], end):
-            total += weights[k] * volts[k]
-        made[b] = total
-    if step != 0.0:
-        p[STEP] = step
-        made += step_means(low, high, p)
-
-
-@njit(cache=True)
-def _same(p: FloatArray, q: FloatArray, which: NDArray[np.int64]) -> bool:  # pragma: no cover
+@compiled(inside=True)
+def _same(p: FloatArray, q: FloatArray, which: NDArray[np.int64]) -> bool:
     for i in which:
         if p[i] != q[i]:
             return False

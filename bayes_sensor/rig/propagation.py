@@ -9,11 +9,9 @@ coincide, and for inputs of one sign no sum cancels.  Cost grows with samples, n
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compiled import forget_older
-from bayes_sensor.rig import divided_differences
+from bayes_sensor.compiled import compiled
 from bayes_sensor.rig.divided_differences import TERMS, divided, divided_tails
 
 BLOCK = 64
@@ -26,14 +24,21 @@ up"""
 # ----------------------------------------------------------------- the state between events
 
 
-@njit(cache=True, error_model="numpy")
-def _settled(rates: FloatArray) -> float:  # pragma: no cover - compiled
+@compiled(inside=True)
+def _copy(values: FloatArray, into: FloatArray) -> None:
+    # (to assign an array to a slice takes seconds to compile)
+    for i in range(len(values)):
+        into[i] = values[i]
+
+
+@compiled(inside=True)
+def _settled(rates: FloatArray) -> float:
     # s after which a step of n equal lags is over: e^-60 times 60^2 is below rounding for three
     over: float = (51.0 + 3.0 * len(rates)) / rates[0]
     return over
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(inside=True)
 def _after(
     nodes: FloatArray,
     i: int,
@@ -43,7 +48,7 @@ def _after(
     slope: float,
     table: FloatArray,
     h: FloatArray,
-) -> float:  # pragma: no cover - compiled
+) -> float:
     # Lag number i (from 0) a time s after the state x (n,), with the input level + slope s.
     # nodes (n + 2,): 0, 0 and the sorted rates; two zeros for the ramp, one for the level.
     end = i + 3
@@ -76,14 +81,14 @@ def _after(
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(inside=True)
 def _weights(
     nodes: FloatArray,
     x: FloatArray,
     level: float,
     slope: float,
     weights: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # (n + 2,) of the divided differences over the last nodes in the response after state x (n,)
     n = len(x)
     scale = 1.0
@@ -94,7 +99,7 @@ def _weights(
     weights[0] = -slope * scale
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def at_any_times(
     t: FloatArray,
     rates: FloatArray,
@@ -103,13 +108,13 @@ def at_any_times(
     level: FloatArray,
     slope: FloatArray,
     out: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # Each sample from the state at the last event before it: rest + weights . divided differences
     # over nodes[e, begin:].  Where one weight alone is not zero, only the first of these is needed.
     n, n_events = len(rates), len(times)
     nodes, table, h = np.zeros(n + 2), np.empty(n + 2), np.empty(TERMS)
-    nodes[2:] = rates
-    with_level, lags_only = nodes[1:].copy(), rates.copy()
+    _copy(rates, nodes[2:])
+    with_level, lags_only = nodes[1:], rates
     weights, rest = np.zeros((n_events, n + 2)), np.zeros(n_events)
     begin = np.zeros(n_events, np.int64)
     alone = np.zeros(n_events, np.bool_)
@@ -125,7 +130,7 @@ def at_any_times(
                     found[i] = level[e - 1] + slope[e - 1] * (s - lag)
                 else:
                     found[i] = _after(nodes, i, s, x, level[e - 1], slope[e - 1], table, h)
-            x[:] = found
+            _copy(found, x)
         steady = True
         for i in range(n):
             if x[i] != x[0]:
@@ -136,7 +141,7 @@ def at_any_times(
         if steady:
             found[:] = 0.0
         else:
-            found[:] = x
+            _copy(x, found)
         found[0] += kicks[e] * rates[0]
         x[0] += kicks[e] * rates[0]
         _weights(nodes, found, level[e] - rest[e], slope[e], weights[e])
@@ -180,32 +185,10 @@ def at_any_times(
         i = end
 
 
-@njit(cache=True, error_model="numpy")
-def by_lags(
-    t: FloatArray,
-    taus: FloatArray,
-    times: FloatArray,
-    kicks: FloatArray,
-    level: FloatArray,
-    slope: FloatArray,
-    out: FloatArray,
-) -> None:  # pragma: no cover - compiled
-    # out (n_lags, n_t): minus the response with each lag twice; the input is a derivative
-    n = len(taus)
-    for j in range(n):
-        rates = np.empty(n + 1)
-        rates[:n] = 1.0 / taus
-        rates[n] = 1.0 / taus[j]
-        rates.sort()
-        at_any_times(t, rates, times, kicks, level, slope, out[j])
-        for i in range(len(t)):
-            out[j, i] = -out[j, i]
-
-
-@njit(cache=True, error_model="numpy")
+@compiled()
 def by_switches(
     t: FloatArray, rates: FloatArray, times: FloatArray, heights: FloatArray, out: FloatArray
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # out (n_switches, n_t)
     table, h = np.empty(len(rates)), np.empty(TERMS)
     over = _settled(rates)
@@ -223,10 +206,10 @@ def by_switches(
 # ----------------------------------------------------------------- uniform grids
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(inside=True)
 def _propagator(
     rates: FloatArray, s: float, matrix: FloatArray, table: FloatArray, h: FloatArray
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # matrix (n, n), lower: the state after s is matrix @ state where the input is zero
     for i in range(len(rates)):
         divided_tails(rates[: i + 1], s, table, h)
@@ -236,10 +219,8 @@ def _propagator(
             scale *= -rates[j]
 
 
-@njit(cache=True, error_model="numpy")
-def _advance(
-    matrix: FloatArray, x: FloatArray, found: FloatArray
-) -> None:  # pragma: no cover - compiled
+@compiled(inside=True)
+def _advance(matrix: FloatArray, x: FloatArray, found: FloatArray) -> None:
     # found = matrix @ x, lower triangular; not in place
     for i in range(len(x)):
         total = 0.0
@@ -248,7 +229,7 @@ def _advance(
         found[i] = total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def on_grid(
     first: float,
     interval: float,
@@ -257,7 +238,7 @@ def on_grid(
     kicks: FloatArray,
     level: FloatArray,
     out: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # Few events, levels and impulses.  Kept is the distance d of the lags from the input's level,
     # which decays between events: anchor at the last event, d at the first sample of a block.
     n, n_t, n_events = len(rates), len(out), len(times)
@@ -282,7 +263,7 @@ def on_grid(
             if e > 0:
                 _propagator(rates, times[e] - at, matrix, table, h)
                 _advance(matrix, anchor, found)
-                anchor[:] = found
+                _copy(found, anchor)
             at = times[e]
             for j in range(n):
                 anchor[j] += level[e] - now
@@ -304,7 +285,7 @@ def on_grid(
                 _advance(matrix, anchor, d)
             else:
                 _advance(stride, d, found)
-                d[:] = found
+                _copy(found, d)
             left = 0.0
             for j in range(n):
                 left += abs(d[j])
@@ -323,7 +304,7 @@ def on_grid(
             block += 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def recorded(
     ahead: float,
     interval: float,
@@ -331,13 +312,13 @@ def recorded(
     level: FloatArray,
     slope: FloatArray,
     out: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # An input with an event in every interval: event k is ``ahead`` + k intervals after the first
     # sample.  A sample's state follows from that of the sample before, in two parts: to the event
     # between them, and from it.
     n, n_events = len(rates), len(level)
     nodes, table, h = np.zeros(n + 2), np.empty(n + 2), np.empty(TERMS)
-    nodes[2:] = rates
+    _copy(rates, nodes[2:])
     whole = np.floor(ahead / interval)
     part = ahead - whole * interval
     first, second, step = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -377,7 +358,4 @@ def recorded(
             ended = level[n_events - 1]
             for j in range(n):
                 found[j] += held[2, j] * ended
-        x[:] = found
-
-
-forget_older((at_any_times, by_lags, by_switches, on_grid, recorded), (divided_differences,))
+        _copy(found, x)

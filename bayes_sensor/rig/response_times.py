@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.compiled import forget_older
+from bayes_sensor.compiled import compiled
 from bayes_sensor.display import record_card
-from bayes_sensor.rig import chain, divided_differences
 from bayes_sensor.rig.chain import impulse_response, step_response
 
 if TYPE_CHECKING:
@@ -36,8 +34,8 @@ class ResponseTimes:
         return self.t90 - self.t10
 
 
-@njit(cache=True)
-def _time_to_level(level: float, rates: FloatArray) -> float:  # pragma: no cover - compiled
+@compiled(inside=True)
+def _time_to_level(level: float, rates: FloatArray) -> float:
     # Newton kept inside a bracket that always holds the root: by Markov's inequality
     # 1 - y(t) <= sum(tau)/t.
     low, high = 0.0, 0.0
@@ -61,16 +59,11 @@ def _time_to_level(level: float, rates: FloatArray) -> float:  # pragma: no cove
     return s
 
 
-@njit(cache=True)
-def _times_to_levels(
-    levels: FloatArray, rates: FloatArray, out: FloatArray
-) -> None:  # pragma: no cover - compiled
+@compiled()
+def _times_to_levels(levels: FloatArray, rates: FloatArray, out: FloatArray) -> None:
     for j in range(rates.shape[0]):
         for i in range(len(levels)):
             out[i, j] = _time_to_level(levels[i], rates[j])
-
-
-forget_older((_times_to_levels,), (chain, divided_differences))
 
 
 def response_times(taus: Sequence[FloatArray | float] | FloatArray) -> ResponseTimes:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayes_sensor.campaign import ORDERS, STAGES, CampaignError, FloatArray
-from bayes_sensor.rig.chain import chain_response, lag_sensitivities, switch_sensitivities
+from bayes_sensor.rig.chain import Drive, chain_response, lag_sensitivities, switch_sensitivities
 from bayes_sensor.rig.programme import Programme, RecordedInput
 from bayes_sensor.rig.stages import KINDS, Stage, StageKind
 from bayes_sensor.rig.stages.stage import Passage
@@ -239,8 +239,20 @@ class Rig:
         >>> rig.response(np.array([0.5, 3.0, 60.0]), shared, 75.0, programme).round(4).tolist()
         [0.0, 0.6891, 1.0]
         """
-        drive = programme.drive.later(self.delay(shared, flow))
-        return programme.rest + chain_response(t, self.taus(shared, flow), drive, interval)
+        return programme.rest + self.passed(t, shared, flow, programme.drive, interval)
+
+    def passed(
+        self,
+        t: FloatArray,
+        shared: FloatArray,
+        flow: float | None,
+        drive: Drive,
+        interval: float | None = None,
+    ) -> FloatArray:
+        """What the stages make (n_t,) of an input that is zero before its events."""
+        if self.has_delay:
+            drive = drive.later(self.delay(shared, flow))
+        return chain_response(t, self.taus(shared, flow), drive, interval)
 
     def sensitivities(
         self,
@@ -251,24 +263,26 @@ class Rig:
         interval: float | None = None,
     ) -> Sensitivities:
         """Derivatives of :meth:`response` by every shared parameter and by a delay."""
-        taus = self.taus(shared, flow)
-        derivative = programme.derivative.later(self.delay(shared, flow))
-        by_lag = lag_sensitivities(t, taus, derivative, interval)
-        by_delay = -chain_response(t, taus, derivative, interval)
+        by_delay = -self.passed(t, shared, flow, programme.derivative, interval)
         found = np.zeros((len(t), len(self.stages)))
-        self.add_slopes(found, shared, flow, by_lag, by_delay)
+        self.add_slopes(found, t, shared, flow, programme.derivative, by_delay, interval)
         return Sensitivities(found, by_delay)
 
     def add_slopes(
         self,
         found: FloatArray,
+        t: FloatArray,
         shared: FloatArray,
         flow: float | None,
-        by_lag: FloatArray,
+        derivative: Drive,
         by_delay: FloatArray | None,
+        interval: float | None = None,
     ) -> None:
         """Add to ``found`` (n_t, ..) the derivatives by the shared parameters, in its first
-        columns, from those by every lag (n_t, n_lags) and, where a stage has a delay, by it."""
+        columns; ``by_delay`` (n_t,): that by a delay of the input, where a stage has one."""
+        if self.has_delay:
+            derivative = derivative.later(self.delay(shared, flow))
+        by_lag = lag_sensitivities(t, self.taus(shared, flow), derivative, interval)
         place = 0
         for stage, i in zip(self.stages, self._places, strict=True):
             slope = stage.kind.slope(shared[i], self._flow(flow))

@@ -136,7 +136,7 @@ say(values)
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.diagnosis.effects.rig_view import coating_modes
-from bayes_sensor.rig.perturbed import FIRST, INDEX, campaign_means, moved_means, settings_vector
+from bayes_sensor.rig.perturbed import FIRST, INDEX, rig_means, settings_vector
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
 neutral = np.concatenate([first, settings_vector({})])
@@ -150,9 +150,9 @@ weights, starts = np.full(24, 1.0 / 3.0), np.arange(0, 24, 3)
 twice = np.concatenate([times, times]), np.concatenate([weights, weights]), np.tile(starts, 2)
 ends = np.array([0, 24, 48]), np.array([0, 8, 16])
 twice = (*twice, *(np.tile(b, 2) for b in bins))
-say(campaign_means(*twice, *ends, np.stack(rigs[:2]), *coating_modes()))
+say(rig_means(*twice, *ends, np.stack(rigs[:2]), np.arange(3), *coating_modes()))
 moved = np.stack([neutral, *rigs, *rigs[:3]]), np.array([0, 6, 9])
-say(moved_means(*twice, *ends, *moved, *coating_modes()))
+say(rig_means(*twice, *ends, *moved, *coating_modes()))
 for name, effect in CATALOGUE.items():
     for form in effect.forms:
         text = f"{name}:{form.name}" if form.name else name

@@ -8,9 +8,9 @@ from __future__ import annotations
 from math import ceil, exp, tanh
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 
 def nodes(times: FloatArray, events: list[float], quick: float) -> FloatArray:
@@ -32,8 +32,8 @@ def nodes(times: FloatArray, events: list[float], quick: float) -> FloatArray:
     return kept
 
 
-@njit(cache=True)
-def _growing_steps(length: float, quick: float) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def _growing_steps(length: float, quick: float) -> FloatArray:
     """(n,) s from 0 to ``length``: 0.1 ms at first, then up to ``quick``/100, later growing."""
     count, s = 0, 0.0
     for counting in (True, False):
@@ -48,19 +48,15 @@ def _growing_steps(length: float, quick: float) -> FloatArray:  # pragma: no cov
     return offsets
 
 
-@njit(cache=True, error_model="numpy")
-def lagged(
-    x: float, a: float, b: float, h: float, tau: float
-) -> float:  # pragma: no cover - compiled
+@compiled()
+def lagged(x: float, a: float, b: float, h: float, tau: float) -> float:
     """End of a step h (s) of x' = (u - x)/``tau`` while u goes straight from ``a`` to ``b``."""
     behind = tau * ((b - a) / h)
     return b - behind + (x - a + behind) * exp(-h / tau)
 
 
-@njit(cache=True, error_model="numpy")
-def lag(
-    t: FloatArray, u: FloatArray, tau: FloatArray, start: float
-) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def lag(t: FloatArray, u: FloatArray, tau: FloatArray, start: float) -> FloatArray:
     """(n,) state of x' = (u - x)/tau from ``start``; ``tau`` (n - 1,) s holds between nodes."""
     n = len(t)
     x = np.empty(n)
@@ -83,10 +79,10 @@ def steady_lag(t: FloatArray, u: FloatArray, tau: float) -> FloatArray:
     return np.asarray(lag(t, u, np.full(len(t) - 1, tau), float(u[0])))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def valve(
     t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, closing: float
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n,) opening x1 of a valve drawn towards a target that may jump at nodes.
 
     ``first``, ``last`` (n - 1,): the target at both ends of each interval.  While it closes, its
@@ -108,10 +104,10 @@ def valve(
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def heavy_valve(
     t: FloatArray, first: FloatArray, last: FloatArray, tau_v: float, inertia: float
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n,) opening of a valve that moves a mass.
 
     kappa tau_v^2 x'' + tau_v x' (1 + kappa/4 |tau_v x'|) + x = u with kappa = ``inertia``: the
@@ -140,8 +136,8 @@ def heavy_valve(
     return out
 
 
-@njit(cache=True)
-def stick_slip(x: FloatArray, band: float) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def stick_slip(x: FloatArray, band: float) -> FloatArray:
     """(n,) ``x`` followed by a part that sticks until it is ``band`` behind, then slips onto it.
 
     The band shrinks near the ends of the stroke, where the stop holds the part in place.
@@ -155,7 +151,7 @@ def stick_slip(x: FloatArray, band: float) -> FloatArray:  # pragma: no cover - 
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def connected_volumes(
     t: FloatArray,
     u: FloatArray,
@@ -163,7 +159,7 @@ def connected_volumes(
     through: FloatArray,
     between: FloatArray,
     longest: float,
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n, m) concentrations from 0 in m volumes that the gas ``u`` (n,) flows through.
 
     x' = flow (through x + inflow u) + between x with ``flow`` (n,) mL/s, ``through`` (m, m) 1/mL
@@ -197,10 +193,10 @@ def connected_volumes(
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def langmuir(
     t: FloatArray, g: FloatArray, tau: float, K: float, bend: float, gate: float, width: float
-) -> FloatArray:  # pragma: no cover - compiled
+) -> FloatArray:
     """(n,) coverage over K of sites that fill as r' = [g (1 - K r) - r] e/tau.
 
     ``g`` (n,) is the gas concentration in units in which K is Langmuir's constant (J. Am. Chem.
@@ -230,8 +226,8 @@ def langmuir(
     return r
 
 
-@njit(cache=True)
-def backlash(x: FloatArray, width: float) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def backlash(x: FloatArray, width: float) -> FloatArray:
     """(n,) ``x`` through a backlash of half-width ``width``."""
     out = np.empty(len(x))
     place = x[0]
@@ -241,10 +237,8 @@ def backlash(x: FloatArray, width: float) -> FloatArray:  # pragma: no cover - c
     return out
 
 
-@njit(cache=True)
-def two_ranges(
-    y: FloatArray, up: float, down: float, gap: float
-) -> FloatArray:  # pragma: no cover - compiled
+@compiled()
+def two_ranges(y: FloatArray, up: float, down: float, gap: float) -> FloatArray:
     """(n,) ``y``, plus ``gap`` from where it rises above ``up`` until it falls below ``down``."""
     out = np.empty(len(y))
     upper = y[0] > up

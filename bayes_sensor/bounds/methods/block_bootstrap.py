@@ -17,7 +17,6 @@ from math import ceil, log, log10, sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.bounds.bound import LEVELS, Bound
@@ -26,6 +25,7 @@ from bayes_sensor.bounds.gaussian_intervals import gaussian_bound
 from bayes_sensor.bounds.likelihood_surface import Surface, curvature_along_tau, maximise
 from bayes_sensor.bounds.methods.bound_method import BoundMethod
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.density import mean_and_variance
 from bayes_sensor.likelihood.mesh import K, compress, lagrange
 from bayes_sensor.likelihood.noise import lag_coefficient
@@ -80,10 +80,8 @@ def optimal_block_length(x: FloatArray) -> float:
 # --------------------------------------------------------------------------- kernels
 
 
-@njit(cache=True)
-def _indices(
-    n_out: int, n: int, length: float, rng: np.random.Generator, out: IntArray
-) -> None:  # pragma: no cover - compiled
+@compiled()
+def _indices(n_out: int, n: int, length: float, rng: np.random.Generator, out: IntArray) -> None:
     # positions in a series of n, in blocks of geometric length that wrap around
     stays = 1.0 - 1.0 / length if length > 1.0 else 0.0
     log_stays = log(stays) if stays > 0.0 else 0.0
@@ -110,7 +108,7 @@ def _indices(
             at = 0
 
 
-@njit(cache=True)
+@compiled()
 def _recolour(
     index: IntArray,
     e: FloatArray,
@@ -119,7 +117,7 @@ def _recolour(
     across: FloatArray,
     phi: float,
     r: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # r (n_t,) at used samples: scale times an AR(1) driven by the resampled innovations
     rest = sqrt(1.0 - phi * phi)
     z = 0.0
@@ -136,7 +134,7 @@ def _recolour(
             r[i] = scale[i] * z
 
 
-@njit(cache=True)
+@compiled()
 def _to_nodes(
     r: FloatArray,
     start: IntArray,
@@ -145,7 +143,7 @@ def _to_nodes(
     offset: IntArray,
     table: FloatArray,
     sums: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     # sums (n_blocks, K): filled with the Lagrange-weighted sums of r
     for b in range(len(start)):
         for q in range(K):

@@ -9,10 +9,10 @@ each experiment's bins begin and the last one's end.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.compiled import compiled
 
 
 def own_units(matrix: FloatArray) -> FloatArray:
@@ -45,10 +45,7 @@ def inverted(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(matrix * both) * both)
 
 
-@njit(cache=True)
-def whiten(
-    factors: FloatArray, of_bins: NDArray[np.int64], values: FloatArray
-) -> FloatArray:  # pragma: no cover
+def whiten(factors: FloatArray, of_bins: NDArray[np.int64], values: FloatArray) -> FloatArray:
     """(n_bins in all, m) values over the floor.
 
     ``factors``: the inverses of its Cholesky factors, row by row, one experiment's after the
@@ -59,19 +56,19 @@ def whiten(
     for k in range(len(of_bins) - 1):
         a, b = of_bins[k], of_bins[k + 1]
         n = b - a
-        made[a:b] = np.dot(factors[at : at + n * n].reshape(n, n), values[a:b])
+        np.dot(factors[at : at + n * n].reshape(n, n), values[a:b], out=made[a:b])
         at += n * n
     return made
 
 
-@njit(cache=True)
+@compiled()
 def normal_equations(
     derivatives: FloatArray,
     residual: FloatArray,
     of_bins: NDArray[np.int64],
     places: NDArray[np.int64],
     n: int,
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, FloatArray]:
     """(n, n) the derivatives' products with each other, (n,) with the residual (n_bins in all,)."""
     normal, gradient = np.zeros((n, n)), np.zeros(n)
     for k in range(len(places)):
@@ -88,7 +85,7 @@ def normal_equations(
     return normal, gradient
 
 
-@njit(cache=True)
+@compiled()
 def broyden_update(
     derivatives: FloatArray,
     gained: FloatArray,
@@ -96,7 +93,7 @@ def broyden_update(
     scale: FloatArray,
     of_bins: NDArray[np.int64],
     places: NDArray[np.int64],
-) -> None:  # pragma: no cover
+) -> None:
     """Broyden's rule, in place: the derivatives as a step ``moved`` (n,) has shown them.
 
     ``gained`` (n_bins in all,): by how much the step has lowered the residual, where the

@@ -30,9 +30,8 @@ from bayes_sensor.rig.perturbed import (
     TAU_V,
     TF,
     Y0,
-    campaign_means,
-    moved_means,
     rig_mean,
+    rig_means,
 )
 
 
@@ -134,8 +133,10 @@ class Coordinates(CoordinatePriors):
         if self.own_mean:
             return self.binned.bins[k].reduce(self.mean(x, k))
         p, _ = self.rig(x, k)
-        made: FloatArray = campaign_means(*self.binned.bins[k].alone, p[None], *coating_modes())
-        return made
+        one = np.array([0, 1])
+        return np.asarray(
+            rig_means(*self.binned.bins[k].alone, p[None], one, *coating_modes())[:, 0]
+        )
 
     def means(self, x: FloatArray) -> list[FloatArray]:
         """V (n_bins,) of every experiment, mean of each of its bins."""
@@ -146,8 +147,9 @@ class Coordinates(CoordinatePriors):
         """V (n_bins in all,), the same of all experiments, one after the other."""
         if self.own_mean:
             return np.concatenate([self.bin_means(x, k) for k in range(len(self.binned.bins))])
-        made: FloatArray = campaign_means(*self.binned.all_bins, self.rigs(x), *coating_modes())
-        return made
+        bins, rigs = self.binned.all_bins, self.rigs(x)
+        each = np.arange(len(rigs) + 1)
+        return np.asarray(rig_means(*bins, rigs, each, *coating_modes())[:, 0])
 
     def signature(self, x: FloatArray, here: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """(n_bins in all,) whitened: what strengths of the last part change in means ``here`` V."""
@@ -185,9 +187,9 @@ class Coordinates(CoordinatePriors):
         if self.own_mean:
             means = self._moved_own_means(x, steps)
         else:
-            means = moved_means(
+            means = rig_means(
                 *self.binned.all_bins, self._moved(x, steps), self._of_rigs, *coating_modes()
-            )
+            )[:, 1:]
         return self.binned.whitened((means - here[:, None]) / (finer * self._steps_by_bin))
 
     @cached_property

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import windows
 from scipy.special import logsumexp
@@ -334,10 +333,7 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
     return expected
 
 
-@njit(cache=True)
-def _medians(
-    power: FloatArray, centres: FloatArray, halves: FloatArray
-) -> FloatArray:  # pragma: no cover
+def _medians(power: FloatArray, centres: FloatArray, halves: FloatArray) -> FloatArray:
     # (n_centres,) of the power around each centre, to half a width on both sides
     found = np.empty(len(centres))
     for i in range(len(centres)):
@@ -351,7 +347,7 @@ def _medians(
         at = int(centre) - low
         for side in (window[:at], window[at:]):
             if len(side) > 0.5 * half:
-                louder = max(louder, np.median(side))
+                louder = max(louder, float(np.median(side)))
         found[i] = louder if louder > EDGE * middle else middle
     return found
 

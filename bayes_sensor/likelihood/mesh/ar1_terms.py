@@ -8,31 +8,32 @@ from __future__ import annotations
 from math import log, pi
 
 import numpy as np
-from numba import njit
+
+from bayes_sensor.compiled import compiled
 
 
-@njit(cache=True, error_model="numpy")
-def across_gap(phi, phi_reference, steps, distance):  # pragma: no cover - compiled
+@compiled(inside=True)
+def across_gap(phi, phi_reference, steps, distance):
     return phi**distance if phi_reference < 0 else phi_reference ** (steps * distance)
 
 
-@njit(cache=True, error_model="numpy")
-def per_sample(phi_reference, steps):  # pragma: no cover - compiled
+@compiled(inside=True)
+def per_sample(phi_reference, steps):
     whole = np.rint(steps)
     if abs(steps - whole) < 1e-9 * max(1.0, steps):
         return phi_reference ** int(whole)
     return phi_reference**steps
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def variance_levels(sigma0, sigma1, weight, fading):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def variance_levels(sigma0, sigma1, weight, fading):
     # v0, v1 of s^2 = v0 + v1 x3, as noise.scale_squared has it between 0 and the highest level
     v0 = sigma0 * sigma0
     return v0, (sigma1 * sigma1 - fading * v0) * weight
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def combined(k, mesh, phi, phi_reference, A, B, re, log_s2):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def combined(k, mesh, phi, phi_reference, A, B, re, log_s2):
     # log L of one experiment from block sums and standardised residuals of the edge samples
     rest = 1.0 - phi * phi
     squares = (1.0 + phi * phi) * A - 2.0 * phi * B
@@ -49,8 +50,8 @@ def combined(k, mesh, phi, phi_reference, A, B, re, log_s2):  # pragma: no cover
     return -0.5 * (total + squares / rest)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def edge_log(k, mesh, s2e):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def edge_log(k, mesh, s2e):
     # log s^2 of the first sample of every run; the last one is in the blocks
     total = 0.0
     for run in range(mesh.runs[k], mesh.runs[k + 1]):
@@ -58,8 +59,8 @@ def edge_log(k, mesh, s2e):  # pragma: no cover - compiled
     return total
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):
     # Derivative of log L by phi_reference, of the block sums and of the pairs across gaps; gre:
     # filled with the derivatives by the standardised residuals re of the edge samples
     steps = mesh.setting[k, 3]
@@ -93,8 +94,8 @@ def slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):  # pragma: no c
     return g_phi * phi_slope(phi, phi_reference, steps) + g_across
 
 
-@njit(cache=True, error_model="numpy")
-def phi_slope(phi, phi_reference, steps):  # pragma: no cover - compiled
+@compiled(inside=True)
+def phi_slope(phi, phi_reference, steps):
     # derivative of phi_reference ** steps
     if steps == 1.0:
         return 1.0

@@ -7,9 +7,9 @@ from itertools import product
 from math import exp, pi
 
 import numpy as np
-from numba import njit
 
 from bayes_sensor.campaign import Experiment, FloatArray
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.density import mean_and_response, mean_on_grid
 from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, Arrays, K
 from bayes_sensor.likelihood.noise import scale_squared
@@ -46,10 +46,8 @@ class Region:
     """how many times narrower than usual the blocks are"""
 
 
-@njit(cache=True, error_model="numpy")
-def _width_after(
-    s: float, decays: FloatArray, amplitude: float, fineness: float
-) -> float:  # pragma: no cover - compiled
+@compiled(inside=True)
+def _width_after(s: float, decays: FloatArray, amplitude: float, fineness: float) -> float:
     # Block width (s) at a time s after the last possible switch, for exponentials given by rows
     # (time constant, coefficient); amplitude: of them as the weights 1/s^2 see them
     factorial = 1.0
@@ -64,7 +62,7 @@ def _width_after(
     return least / fineness
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def blocks_of_run(
     first: int,
     last: int,
@@ -76,7 +74,7 @@ def blocks_of_run(
     amplitude: float,
     kinks: FloatArray,
     fineness: float,
-) -> list[tuple[int, int, int]]:  # pragma: no cover - compiled
+) -> list[tuple[int, int, int]]:
     # (start, samples, kind) of the blocks covering samples first .. last - 1 of one run;
     # windows, kinks (n, 2): where a switch may fall, what is wanted sample by sample (s)
     blocks = []

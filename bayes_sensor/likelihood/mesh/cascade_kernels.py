@@ -8,11 +8,8 @@ from __future__ import annotations
 from math import exp, log, pi, sqrt
 
 import numpy as np
-from numba import njit
 
-from bayes_sensor.compiled import forget_older
-from bayes_sensor.likelihood.mesh import ar1_terms, node_response, node_sums
-from bayes_sensor.likelihood.mesh import chain_responses as responses_of_chains
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.mesh.ar1_terms import (
     across_gap,
     combined,
@@ -35,61 +32,62 @@ from bayes_sensor.likelihood.mesh.node_sums import (
     gradient_sums,
     gram_sums,
 )
-from bayes_sensor.rig import chain, divided_differences
-from bayes_sensor.rig import partial_fractions as fractions
 
 
-@njit(cache=True, error_model="numpy")
-def inside_box(theta, low, high):  # pragma: no cover - compiled
+@compiled()
+def inside_box(theta, low, high):
     for i in range(len(theta)):
         if not (low[i] <= theta[i] <= high[i]):
             return False
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def value(theta, mesh, room, each):  # pragma: no cover - compiled
-    # each (n_exp,): filled with every experiment's part
+@compiled()
+def values(thetas, mesh, room, each, inside):
+    # each (n, n_exp): filled with every experiment's part where ``inside`` (n,) the mesh's region
     taus, c = np.empty(3), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
     xe = np.empty((len(mesh.distance), 2))
     re = np.empty((len(mesh.distance), 2))
     s2e = np.empty((len(mesh.distance), 2))
-    total = 0.0
-    for k in range(len(mesh.local)):
-        phi_reference, sigma0, sigma1 = (
-            theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
-        )  # fmt: skip
-        phi = per_sample(phi_reference, mesh.setting[k, 3])
-        if not abs(phi) < 1.0:  # a negative phi has no root for a shorter interval
-            each[:] = -np.inf
-            return -np.inf
-        y0, beta = theta[mesh.local[k, 0]] - mesh.setting[k, 5], theta[mesh.local[k, 1]]
-        v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
-        if mesh.is_pulse:
-            h, t0, tf = time_constants_of(theta, k, mesh, taus)
-            separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
-            edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
-        else:
-            chain_responses(theta, k, mesh, room, xe)
-        for run in range(mesh.runs[k], mesh.runs[k + 1]):
-            for side in range(2):
-                s2e[run, side] = v0 + v1 * xe[run, side]
-                re[run, side] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) / sqrt(
-                    s2e[run, side]
-                )
-        A, B, change = block_sums(
-            mesh.blocks[k], mesh.blocks[k + 1], mesh.moments, mesh.reference, mesh.reference_s2,
-            room.x, room.xl, y0, beta, v0, v1,
-        )  # fmt: skip
-        log_s2 = mesh.log_s2[k] + change + edge_log(k, mesh, s2e)
-        each[k] = combined(k, mesh, phi, phi_reference, A, B, re, log_s2)
-        total += each[k]
-    return total
+    for i in range(len(thetas)):
+        theta = thetas[i]
+        inside[i] = inside_box(theta, mesh.low, mesh.high)
+        if not inside[i]:
+            continue
+        for k in range(len(mesh.local)):
+            phi_reference, sigma0, sigma1 = (
+                theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
+            )  # fmt: skip
+            phi = per_sample(phi_reference, mesh.setting[k, 3])
+            if not abs(phi) < 1.0:  # a negative phi has no root for a shorter interval
+                for j in range(len(mesh.local)):
+                    each[i, j] = -np.inf
+                break
+            y0, beta = theta[mesh.local[k, 0]] - mesh.setting[k, 5], theta[mesh.local[k, 1]]
+            v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
+            if mesh.is_pulse:
+                h, t0, tf = time_constants_of(theta, k, mesh, taus)
+                separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+                edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+            else:
+                chain_responses(theta, k, mesh, room, xe)
+            for run in range(mesh.runs[k], mesh.runs[k + 1]):
+                for side in range(2):
+                    s2e[run, side] = v0 + v1 * xe[run, side]
+                    re[run, side] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) / sqrt(
+                        s2e[run, side]
+                    )
+            A, B, change = block_sums(
+                mesh.blocks[k], mesh.blocks[k + 1], mesh.moments, mesh.reference, mesh.reference_s2,
+                room.x, room.xl, y0, beta, v0, v1,
+            )  # fmt: skip
+            log_s2 = mesh.log_s2[k] + change + edge_log(k, mesh, s2e)
+            each[i, k] = combined(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
 
-@njit(cache=True, error_model="numpy")
-def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
+@compiled()
+def value_and_gradient(theta, mesh, room, gradient):
     taus, c = np.empty(3), np.empty(3)
     sums, unused, lags = np.empty(8), np.zeros(8), np.empty(3)
     by_on, by_off, G, g_tau = np.empty(6), np.empty(6), np.empty(3), np.empty(3)
@@ -101,8 +99,10 @@ def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
     gradient[:] = 0.0
     total = 0.0
     for k in range(len(mesh.local)):
-        i_y0, i_beta, i_t0, i_tf = mesh.local[k]
-        i_phi, i_s0, i_s1 = mesh.noise[k]
+        i_y0, i_beta, i_t0, i_tf = (
+            mesh.local[k, 0], mesh.local[k, 1], mesh.local[k, 2], mesh.local[k, 3]
+        )  # fmt: skip
+        i_phi, i_s0, i_s1 = mesh.noise[k, 0], mesh.noise[k, 1], mesh.noise[k, 2]
         h, t0, tf = time_constants_of(theta, k, mesh, taus)
         phi_reference, sigma0, sigma1 = theta[i_phi], theta[i_s0], theta[i_s1]
         steps, weight, fading = mesh.setting[k, 3], mesh.setting[k, 2], mesh.setting[k, 7]
@@ -181,110 +181,88 @@ def value_and_gradient(theta, mesh, room, gradient):  # pragma: no cover
     return total
 
 
-@njit(cache=True, error_model="numpy")
-def marginal(theta, mesh, room, best, factor):  # pragma: no cover - compiled
-    # log L with every y0, beta integrated out under flat priors; best (n_exp, 2) their conditional
-    # means, factor (n_exp, 3) the conditional precision's Cholesky factor (l11, l21, l22)
+@compiled()
+def marginals(thetas, mesh, room, values, best, factor, inside):
+    # values (n,): log L with every y0, beta integrated out under flat priors; best (n, n_exp, 2)
+    # their conditional means, factor (n, n_exp, 3) the conditional precision's Cholesky factor
+    # (l11, l21, l22); all where ``inside`` (n,) the mesh's region
     taus, c = np.empty(3), np.empty(3)
     table, stride = np.empty((mesh.n_kinds, 3, K)), np.empty((mesh.n_kinds, 3))
     xe = np.empty((len(mesh.distance), 2))
     s2e = np.empty((len(mesh.distance), 2))
     basis = np.empty((len(mesh.distance), 2, 3))
     A, B, Q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    total = 0.0
-    for k in range(len(mesh.local)):
-        first, last = mesh.blocks[k], mesh.blocks[k + 1]
-        phi_reference, sigma0, sigma1 = (
-            theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
-        )  # fmt: skip
-        phi = per_sample(phi_reference, mesh.setting[k, 3])
-        if not abs(phi) < 1.0:
-            return -np.inf
-        rest = 1.0 - phi * phi
-        # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
-        y0, beta = 0.0, mesh.setting[k, 6]
-        v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
-        if mesh.is_pulse:
-            h, t0, tf = time_constants_of(theta, k, mesh, taus)
-            separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
-            edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
-        else:
-            chain_responses(theta, k, mesh, room, xe)
-        change = gram_sums(
-            first, last, mesh.moments, mesh.reference, mesh.reference_s2,
-            room.x, room.xl, y0, beta, v0, v1, A, B,
-        )  # fmt: skip
-        logs = mesh.log_s2[k] + change + mesh.n_samples[k] * log(2.0 * pi)
-        logs += mesh.pairs[k] * log(rest)
-        for i in range(3):
-            for j in range(i, 3):
-                Q[i, j] = ((1.0 + phi * phi) * A[i, j] - 2.0 * phi * B[i, j]) / rest
-        for run in range(mesh.runs[k], mesh.runs[k + 1]):
-            for side in range(2):
-                s2e[run, side] = v0 + v1 * xe[run, side]
-                w = 1.0 / sqrt(s2e[run, side])
-                basis[run, side, 0] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) * w
-                basis[run, side, 1] = w
-                basis[run, side, 2] = xe[run, side] * w
-            logs += log(s2e[run, 0])
-            across = 0.0
-            if run > mesh.runs[k]:
-                across = across_gap(phi, phi_reference, mesh.setting[k, 3], mesh.distance[run])
-                logs += log(1.0 - across * across)
-            for i in range(3):
-                a = basis[run, 0, i]
-                for j in range(i, 3):
-                    Q[i, j] += (
-                        phi
-                        * phi
-                        / rest
-                        * (a * basis[run, 0, j] - basis[run, 1, i] * basis[run, 1, j])
-                    )
-                    if run == mesh.runs[k]:
-                        Q[i, j] += a * basis[run, 0, j]
-                    else:
-                        u = a - across * basis[run - 1, 1, i]
-                        v = basis[run, 0, j] - across * basis[run - 1, 1, j]
-                        Q[i, j] += u * v / (1.0 - across * across)
-        l11 = sqrt(Q[1, 1])
-        l21 = Q[1, 2] / l11
-        l22 = sqrt(Q[2, 2] - l21 * l21)
-        u1 = Q[0, 1] / l11
-        u2 = (Q[0, 2] - l21 * u1) / l22
-        best[k, 1] = u2 / l22
-        best[k, 0] = (u1 - l21 * best[k, 1]) / l11
-        best[k, 0] += mesh.setting[k, 5]
-        best[k, 1] += beta
-        factor[k, 0], factor[k, 1], factor[k, 2] = l11, l21, l22
-        total += -0.5 * (logs + Q[0, 0] - u1 * u1 - u2 * u2) - log(l11) - log(l22) + log(2.0 * pi)
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def values(thetas, mesh, room, each, inside):  # pragma: no cover - compiled
     for i in range(len(thetas)):
-        inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
-        if inside[i]:
-            value(thetas[i], mesh, room, each[i])
-
-
-@njit(cache=True, error_model="numpy")
-def marginals(thetas, mesh, room, values, best, factor, inside):  # pragma: no cover
-    for i in range(len(thetas)):
-        inside[i] = inside_box(thetas[i], mesh.low, mesh.high)
-        if inside[i]:
-            values[i] = marginal(thetas[i], mesh, room, best[i], factor[i])
-
-
-forget_older(
-    (value, value_and_gradient, marginal, values, marginals),
-    (
-        ar1_terms,
-        chain,
-        divided_differences,
-        fractions,
-        node_response,
-        node_sums,
-        responses_of_chains,
-    ),
-)
+        theta, total = thetas[i], 0.0
+        inside[i] = inside_box(theta, mesh.low, mesh.high)
+        if not inside[i]:
+            continue
+        for k in range(len(mesh.local)):
+            first, last = mesh.blocks[k], mesh.blocks[k + 1]
+            phi_reference, sigma0, sigma1 = (
+                theta[mesh.noise[k, 0]], theta[mesh.noise[k, 1]], theta[mesh.noise[k, 2]]
+            )  # fmt: skip
+            phi = per_sample(phi_reference, mesh.setting[k, 3])
+            if not abs(phi) < 1.0:
+                total = -np.inf
+                break
+            rest = 1.0 - phi * phi
+            # any y0, beta serves as origin: the mesh's own reference keeps the numbers small
+            y0, beta = 0.0, mesh.setting[k, 6]
+            v0, v1 = variance_levels(sigma0, sigma1, mesh.setting[k, 2], mesh.setting[k, 7])
+            if mesh.is_pulse:
+                h, t0, tf = time_constants_of(theta, k, mesh, taus)
+                separate, _ = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
+                edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
+            else:
+                chain_responses(theta, k, mesh, room, xe)
+            change = gram_sums(
+                first, last, mesh.moments, mesh.reference, mesh.reference_s2,
+                room.x, room.xl, y0, beta, v0, v1, A, B,
+            )  # fmt: skip
+            logs = mesh.log_s2[k] + change + mesh.n_samples[k] * log(2.0 * pi)
+            logs += mesh.pairs[k] * log(rest)
+            for a in range(3):
+                for j in range(a, 3):
+                    Q[a, j] = ((1.0 + phi * phi) * A[a, j] - 2.0 * phi * B[a, j]) / rest
+            for run in range(mesh.runs[k], mesh.runs[k + 1]):
+                for side in range(2):
+                    s2e[run, side] = v0 + v1 * xe[run, side]
+                    w = 1.0 / sqrt(s2e[run, side])
+                    basis[run, side, 0] = (mesh.edge_y[run, side] - y0 - beta * xe[run, side]) * w
+                    basis[run, side, 1] = w
+                    basis[run, side, 2] = xe[run, side] * w
+                logs += log(s2e[run, 0])
+                across = 0.0
+                if run > mesh.runs[k]:
+                    across = across_gap(phi, phi_reference, mesh.setting[k, 3], mesh.distance[run])
+                    logs += log(1.0 - across * across)
+                for a in range(3):
+                    first_a = basis[run, 0, a]
+                    for j in range(a, 3):
+                        Q[a, j] += (
+                            phi
+                            * phi
+                            / rest
+                            * (first_a * basis[run, 0, j] - basis[run, 1, a] * basis[run, 1, j])
+                        )
+                        if run == mesh.runs[k]:
+                            Q[a, j] += first_a * basis[run, 0, j]
+                        else:
+                            u = first_a - across * basis[run - 1, 1, a]
+                            v = basis[run, 0, j] - across * basis[run - 1, 1, j]
+                            Q[a, j] += u * v / (1.0 - across * across)
+            l11 = sqrt(Q[1, 1])
+            l21 = Q[1, 2] / l11
+            l22 = sqrt(Q[2, 2] - l21 * l21)
+            u1 = Q[0, 1] / l11
+            u2 = (Q[0, 2] - l21 * u1) / l22
+            best[i, k, 1] = u2 / l22
+            best[i, k, 0] = (u1 - l21 * best[i, k, 1]) / l11
+            best[i, k, 0] += mesh.setting[k, 5]
+            best[i, k, 1] += beta
+            factor[i, k, 0], factor[i, k, 1], factor[i, k, 2] = l11, l21, l22
+            total += (
+                -0.5 * (logs + Q[0, 0] - u1 * u1 - u2 * u2) - log(l11) - log(l22) + log(2.0 * pi)
+            )
+        values[i] = total

@@ -13,14 +13,12 @@ from __future__ import annotations
 from math import exp
 
 import numpy as np
-from numba import njit
 
-from bayes_sensor.compiled import forget_older
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.mesh.mesh_arrays import K
-from bayes_sensor.rig import partial_fractions as fractions
-from bayes_sensor.rig import propagation
 from bayes_sensor.rig.partial_fractions import partial_fractions
 from bayes_sensor.rig.propagation import at_any_times
+from bayes_sensor.rig.sorting import rising_rates
 
 LARGEST = 1e5
 """coefficient of an exponential, below which eleven digits are left when they cancel"""
@@ -28,10 +26,8 @@ GONE = 1e-17
 """what is left of a switch that no longer counts"""
 
 
-@njit(cache=True, error_model="numpy")
-def _advance(
-    times, shift, taus, c, switch_time, switch_height, rest, out
-):  # pragma: no cover - compiled
+@compiled(inside=True)
+def _advance(times, shift, taus, c, switch_time, switch_height, rest, out):
     # out (n,) at times (n,) less shift, mostly rising; where they fall the sums begin anew
     n, n_switches = len(taus), len(switch_time)
     A = np.zeros(n)
@@ -59,8 +55,8 @@ def _advance(
         before = t
 
 
-@njit(cache=True, error_model="numpy")
-def chain_responses(theta, k, mesh, room, xe):  # pragma: no cover - compiled
+@compiled()
+def chain_responses(theta, k, mesh, room, xe):
     # Response of experiment k at the nodes (room.x), one sample before (room.xl) and at the first
     # and last sample of every run (xe)
     n = mesh.lag_place.shape[1]
@@ -80,9 +76,10 @@ def chain_responses(theta, k, mesh, room, xe):  # pragma: no cover - compiled
         switch_height[place] = mesh.switch_height[begin + e]
     nodes = slice(mesh.blocks[k] * K, mesh.blocks[k + 1] * K)
     times, h = mesh.time[nodes], mesh.setting[k, 0]
-    runs = slice(mesh.runs[k], mesh.runs[k + 1])
-    edge_times = mesh.edge_t[runs].copy().reshape(-1)
-    edges = np.empty(len(edge_times))
+    n_runs = mesh.runs[k + 1] - mesh.runs[k]
+    edge_times, edges = np.empty(2 * n_runs), np.empty(2 * n_runs)
+    for i in range(2 * n_runs):
+        edge_times[i] = mesh.edge_t[mesh.runs[k] + i // 2, i % 2]
     partial_fractions(taus, c)
     apart = True
     for j in range(n):
@@ -94,16 +91,20 @@ def chain_responses(theta, k, mesh, room, xe):  # pragma: no cover - compiled
         _advance(times, h, taus, c, switch_time, switch_height, rest, room.xl[nodes])
         _advance(edge_times, 0.0, taus, c, switch_time, switch_height, rest, edges)
     else:
-        rates = np.sort(1.0 / taus)
+        rates = rising_rates(taus)
         kicks, slope = np.zeros(end - begin), np.zeros(end - begin)
-        level = np.cumsum(switch_height)
+        level, now = np.empty(end - begin), 0.0
+        for e in range(end - begin):
+            now += switch_height[e]
+            level[e] = now
         at_any_times(times, rates, switch_time, kicks, level, slope, room.x[nodes])
-        at_any_times(times - h, rates, switch_time, kicks, level, slope, room.xl[nodes])
+        before = np.empty(len(times))
+        for i in range(len(times)):
+            before[i] = times[i] - h
+        at_any_times(before, rates, switch_time, kicks, level, slope, room.xl[nodes])
         at_any_times(edge_times, rates, switch_time, kicks, level, slope, edges)
-        room.x[nodes] += rest
-        room.xl[nodes] += rest
-        edges += rest
-    xe[runs] = edges.reshape(-1, 2)
-
-
-forget_older((chain_responses,), (fractions, propagation))
+        for i in range(mesh.blocks[k] * K, mesh.blocks[k + 1] * K):
+            room.x[i] += rest
+            room.xl[i] += rest
+    for i in range(2 * n_runs):
+        xe[mesh.runs[k] + i // 2, i % 2] = edges[i] if apart else edges[i] + rest

@@ -1,5 +1,8 @@
 """The compressed campaign as an object: likelihoods, gradients, marginals and information."""
 
+# mypy: allow-untyped-calls
+# Numba types the kernels when it compiles them.
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -75,7 +78,7 @@ class Compressed:
         self.arrays = build(problem, vector, region)
         self.n_full_passes = 0
         self._room = make_room(self.n_nodes)
-        self._each = np.zeros(len(problem.campaign))
+        self._each, self._inside = np.zeros((1, len(problem.campaign))), np.zeros(1, dtype=bool)
         self._cascade = is_cascade(problem)
         self._known_times: dict[int, FloatArray] = {}
 
@@ -110,11 +113,12 @@ class Compressed:
     def log_likelihood(self, theta: Theta) -> float:
         """The exact log-likelihood to within the mesh's error (see :meth:`error`)."""
         vector = self._vector(theta)
+        if self._cascade:
+            cascade_kernels.values(vector[None], self.arrays, self._room, self._each, self._inside)
+            return sum(self._each[0].tolist()) if self._inside[0] else self._full(vector)
         if not self.covers(vector):
             return self._full(vector)
-        if not self._cascade:
-            return float(sum(self._general(vector, k) for k in range(len(self._each))))
-        return float(cascade_kernels.value(vector, self.arrays, self._room, self._each))
+        return float(sum(self._general(vector, k) for k in range(len(self.problem.campaign))))
 
     def _times(self, k: int) -> FloatArray:
         """(n_t,) s: nodes of experiment number ``k``, one sample before them, edge samples."""
@@ -186,7 +190,7 @@ class Compressed:
             if not np.isnan(value):
                 return value, gradient
             gradient[:] = 0.0  # time constants so close that its partial fractions cancel
-        experiments = range(len(self._each))
+        experiments = range(len(self.problem.campaign))
         return sum(self._general_gradient(vector, k, gradient) for k in experiments), gradient
 
     def gradient(self, theta: Theta) -> FloatArray:
@@ -225,14 +229,8 @@ class Compressed:
         mean is ``y0 + beta x`` with ``x`` free of both.
         """
         vector = self._vector(theta)
-        n_exp = len(self.problem.campaign)
-        vector = vector.copy()
-        vector[self.problem.layout.local[:, :2]] = self.reference[self.problem.layout.local[:, :2]]
-        if not (self._cascade and self.covers(vector)):
-            return self._marginal_by_values(vector)
-        best, factor = np.empty((n_exp, 2)), np.empty((n_exp, 3))
-        value = cascade_kernels.marginal(vector, self.arrays, self._room, best, factor)
-        return value, best, factor
+        values, best, factor = self.marginals(vector[None])
+        return float(values[0]), best[0], factor[0]
 
     def log_likelihoods(self, thetas: FloatArray) -> FloatArray:
         """(n, n_experiments) log-likelihood of every experiment at each row of ``thetas``."""

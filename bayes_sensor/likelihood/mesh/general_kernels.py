@@ -8,16 +8,14 @@ from __future__ import annotations
 from math import log, sqrt
 
 import numpy as np
-from numba import njit
 
-from bayes_sensor.compiled import forget_older
-from bayes_sensor.likelihood.mesh import ar1_terms
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.mesh.ar1_terms import combined, slopes_of_edges
 from bayes_sensor.likelihood.mesh.mesh_arrays import K
 
 
-@njit(cache=True, error_model="numpy")
-def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):  # pragma: no cover - compiled
+@compiled()
+def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):
     # log L of experiment k for any smooth mean and variance given at the nodes and edge samples
     first = mesh.blocks[k]
     A = B = log_s2 = 0.0
@@ -26,7 +24,8 @@ def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):  # pragma: no
             i = (first + b) * K + q
             d = m[b, q] - mesh.reference[0, i]
             dl = ml[b, q] - mesh.reference[1, i]
-            n, m1, m2, m3, m4 = mesh.moments[:, i]
+            n, m1, m2 = mesh.moments[0, i], mesh.moments[1, i], mesh.moments[2, i]
+            m3, m4 = mesh.moments[3, i], mesh.moments[4, i]
             A += (m3 - 2.0 * d * m1 + d * d * n) / s2[b, q]
             B += (m4 - d * m2 - dl * m1 + d * dl * n) / sqrt(s2[b, q] * s2l[b, q])
             log_s2 += n * log(s2[b, q])
@@ -39,10 +38,10 @@ def general(k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e):  # pragma: no
     return combined(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def general_gradient(
     k, mesh, phi, phi_reference, m, ml, me, s2, s2l, s2e, g_m, g_ml, g_me, g_s2, g_s2l, g_s2e
-):  # pragma: no cover - compiled
+):
     # The same with the derivatives by every mean and variance, in the shapes of those; also the
     # derivative by phi_reference
     first = mesh.blocks[k]
@@ -54,7 +53,8 @@ def general_gradient(
             i = (first + b) * K + q
             d = m[b, q] - mesh.reference[0, i]
             dl = ml[b, q] - mesh.reference[1, i]
-            n, m1, m2, m3, m4 = mesh.moments[:, i]
+            n, m1, m2 = mesh.moments[0, i], mesh.moments[1, i], mesh.moments[2, i]
+            m3, m4 = mesh.moments[3, i], mesh.moments[4, i]
             w, wl = 1.0 / s2[b, q], 1.0 / s2l[b, q]
             p = sqrt(w * wl)
             a_node = (m3 - 2.0 * d * m1 + d * d * n) * w
@@ -83,6 +83,3 @@ def general_gradient(
             if side == 0:
                 g_s2e[i, side] -= 0.5 / s2e[i, side]
     return value, g_phi
-
-
-forget_older((general, general_gradient), (ar1_terms,))

@@ -8,11 +8,12 @@ from __future__ import annotations
 from math import exp, sqrt
 
 import numpy as np
-from numba import njit
 
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.mesh.mesh_arrays import CHEBYSHEV, K
 from bayes_sensor.rig.chain import step_response
 from bayes_sensor.rig.partial_fractions import partial_fractions
+from bayes_sensor.rig.sorting import rising_rates
 
 COINCIDENT = 1e-3
 """relative distance of time constants below which partial fractions give way to the stable form"""
@@ -24,8 +25,8 @@ become denormal numbers, which cost a hundred times as much"""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@njit(cache=True, error_model="numpy")
-def _nearly_coincide(taus):  # pragma: no cover - compiled
+@compiled(inside=True)
+def _nearly_coincide(taus):
     # whether two time constants are so close that partial fractions cancel
     for j in range(3):
         for k in range(3):
@@ -34,8 +35,8 @@ def _nearly_coincide(taus):  # pragma: no cover - compiled
     return False
 
 
-@njit(cache=True, error_model="numpy")
-def exponential_tables(h, taus, n_kinds, table, stride):  # pragma: no cover - compiled
+@compiled(inside=True)
+def exponential_tables(h, taus, n_kinds, table, stride):
     # table[kind, j, q] = exp(-offset_q/tau_j); stride[kind, j] = exp(-width/tau_j).  Doubling the
     # block squares both, so only the smallest blocks need exponentials.
     for j in range(3):
@@ -61,10 +62,10 @@ def exponential_tables(h, taus, n_kinds, table, stride):  # pragma: no cover - c
     # a step inside a block (see least in mesh.py) still meets its inverse here
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def add_edge(
     first, last, base, time, kind, follows, h, taus, c, edge, sign, table, stride, x, xl, E
-):  # pragma: no cover - compiled
+):
     # Adds sign * x3(t - edge) at the nodes to x and at one sample before them to xl.  Keeps the
     # three exponentials in E (3, n_nodes) where the step acts: from the block in which it comes
     # to that before which it is over; returns these two blocks.
@@ -120,16 +121,16 @@ def add_edge(
     return begin, end
 
 
-@njit(cache=True, error_model="numpy")
-def _stable_edge(first, last, time, h, rates, edge, sign, x, xl):  # pragma: no cover - compiled
+@compiled(inside=True)
+def _stable_edge(first, last, time, h, rates, edge, sign, x, xl):
     for i in range(first * K, last * K):
         u = time[i] - edge
         x[i] += sign * step_response(u, rates)
         xl[i] += sign * step_response(u - h, rates)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def time_constants_of(theta, k, mesh, taus):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def time_constants_of(theta, k, mesh, taus):
     # Time constants of experiment k (valve, manifold, sensor) and its two switch times.  A sensor
     # far faster than a block is replaced by a slower one with the same delay: exp(h/tau) would
     # overflow, and the response differs by a second-order term below 1e-9 of the step.
@@ -147,13 +148,13 @@ def time_constants_of(theta, k, mesh, taus):  # pragma: no cover - compiled
     return h, t0, tf
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride):
     # x3 at the nodes and one sample before.  Returns whether partial fractions served (else the
     # stable, slow form did), and the blocks between which either step acts.
     first, last = mesh.blocks[k], mesh.blocks[k + 1]
-    room.x[first * K : last * K] = 0.0
-    room.xl[first * K : last * K] = 0.0
+    for i in range(first * K, last * K):
+        room.x[i] = room.xl[i] = 0.0
     if not _nearly_coincide(taus):
         partial_fractions(taus, c)
         exponential_tables(h, taus, mesh.n_kinds, table, stride)
@@ -168,15 +169,15 @@ def node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride):  # pragma:
                 table, stride, room.x, room.xl, room.E_off,
             )  # fmt: skip
         return True, (on_begin, on_end, off_begin, off_end)
-    rates = np.sort(1.0 / taus)
+    rates = rising_rates(taus)
     _stable_edge(first, last, mesh.time, h, rates, t0, 1.0, room.x, room.xl)
     if tf < np.inf:
         _stable_edge(first, last, mesh.time, h, rates, tf, -1.0, room.x, room.xl)
     return False, (first, first, first, first)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def edge_responses(k, mesh, taus, t0, tf, c, separate, xe):  # pragma: no cover - compiled
+@compiled(inside=True, forceinline=True)
+def edge_responses(k, mesh, taus, t0, tf, c, separate, xe):
     # x3 at the first and last sample of every run
     over = FAR * max(taus[0], taus[1], taus[2])
     for run in range(mesh.runs[k], mesh.runs[k + 1]):
@@ -191,5 +192,5 @@ def edge_responses(k, mesh, taus, t0, tf, c, separate, xe):  # pragma: no cover 
                         value -= sign * c[j] * exp(-s / taus[j])
                     value += sign
                 elif s > 0.0:
-                    value += sign * step_response(s, np.sort(1.0 / taus))
+                    value += sign * step_response(s, rising_rates(taus))
             xe[run, side] = value

@@ -8,16 +8,17 @@ from __future__ import annotations
 from contextlib import ExitStack, contextmanager, suppress
 from math import exp, log, sqrt
 from pathlib import Path
+from typing import Any
 
 from filelock import lock_descriptor
-from numba import njit
 
+from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.mesh.mesh_arrays import K
 from bayes_sensor.likelihood.mesh.node_response import _FAST, add_edge
 
 
-@njit(cache=True, error_model="numpy")
-def sum_of_logarithms(n, s2r, x, v0, v1):  # pragma: no cover - compiled
+@compiled(inside=True)
+def sum_of_logarithms(n, s2r, x, v0, v1):
     # change of sum log s^2 where the series in the loops below would not do
     change = 0.0
     for i in range(len(n)):
@@ -31,8 +32,8 @@ def sum_of_logarithms(n, s2r, x, v0, v1):  # pragma: no cover - compiled
 # what the series leaves out would show.
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
-def block_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  # pragma: no cover
+@compiled(fastmath=_FAST)
+def block_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):
     # A = sum r_i^2, B = sum r_i r_(i-1), change of sum log s^2, over the blocks' samples
     A = B = change = tail = 0.0
     i, j = first * K, last * K
@@ -60,7 +61,7 @@ def block_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1):  
     return A, B, change
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A, B):
     # The same for the basis (residual at y0, beta; 1; x): symmetric A (3, 3) and B (3, 3)
     ee = e1 = ex = oo = ox = xx = 0.0
@@ -71,7 +72,7 @@ def gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A, 
     m3, m4 = moments[3, i:j], moments[4, i:j]
     ref, ref_l, ref_s2 = reference[0, i:j], reference[1, i:j], s2r[i:j]
     on, before = x[i:j], xl[i:j]
-    for i in range(len(m0)):  # pragma: no cover - compiled
+    for i in range(len(m0)):
         u, ul = on[i], before[i]
         d = y0 + beta * u - ref[i]
         dl = y0 + beta * ul - ref_l[i]
@@ -107,11 +108,11 @@ def gram_sums(first, last, moments, reference, s2r, x, xl, y0, beta, v0, v1, A, 
     return change
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def block_slopes(
     first, last, time, edge, h, lags, E, moments, reference, s2r, x, xl,
     y0, beta, v0, v1, phi, out, by_edge,
-):  # fmt: skip  # pragma: no cover - compiled
+):  # fmt: skip
     # Adds A, B, change, tail and the derivatives of log L by y0, beta, v0, v1 to out (8,), and to
     # by_edge (6,) G_j = sum of E_j g and H_j = sum of s E_j g with g the derivative by x3, for
     # the step at ``edge``, over blocks first .. last - 1.
@@ -188,8 +189,8 @@ def block_slopes(
     by_edge[5] += R2 - h * l2 * T2
 
 
-@njit(cache=True, error_model="numpy")
-def _clear(E, first, last):  # pragma: no cover - compiled
+@compiled(inside=True)
+def _clear(E, first, last):
     # (assigning to a slice of rows would cost ten times as much)
     if first < last:
         for row in E:
@@ -203,7 +204,7 @@ def _clear(E, first, last):  # pragma: no cover - compiled
 # the first run after an installation would differ from all later ones in the last digits.  For
 # the same reason one process at a time compiles them: numba names what it compiles by a count of
 # its process, and callers cached by one process would not find the sums cached by another.
-_ALONE = (
+_ALONE: tuple[tuple[Any, str], ...] = (
     (add_edge, "i8, i8, f8[::1], f8[::1], i8[::1], b1[::1], f8, f8[::1], f8[::1], f8, f8, "
                 "f8[:, :, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1]"),
     (block_sums, "i8, i8, f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8"),
@@ -225,16 +226,16 @@ def one_process(folder):
         yield
 
 
-if hasattr(block_sums, "compile"):  # a plain function where compilation is switched off
-    with one_process(block_sums.stats.cache_path):
+if hasattr(_ALONE[0][0], "compile"):  # a plain function where compilation is switched off
+    with one_process(_ALONE[0][0].stats.cache_path):
         for _kernel, _types in _ALONE:
             _kernel.compile(f"({_types})")
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@compiled(inside=True, forceinline=True)
 def gradient_sums(
     k, mesh, room, acts, t0, tf, lags, y0, beta, v0, v1, phi, out, by_on, by_off, unused
-):  # pragma: no cover - compiled
+):
     # A, B and change over the blocks of experiment k; out[4:8], by_on, by_off (6,): derivatives.
     # acts: first and last block of either step's action; unused (8,): scratch
     first, last = mesh.blocks[k], mesh.blocks[k + 1]
@@ -274,8 +275,8 @@ def gradient_sums(
     return out[0], out[1], out[2]
 
 
-@njit(cache=True, error_model="numpy")
-def add_exponentials(s, taus, g, by_edge):  # pragma: no cover - compiled
+@compiled(inside=True)
+def add_exponentials(s, taus, g, by_edge):
     # adds one sample's part to the sums of E_j g and s E_j g
     for j in range(3):
         f = g * exp(-s / taus[j])
