@@ -66,7 +66,7 @@ def load(folder: str | os.PathLike[str]) -> Analysis:
         )
     found = read_problem(place)
     run = results.json("run.json")
-    if found is None or not isinstance(run, dict):
+    if found is None or run is None:
         missing = file_of("campaign") if found is None else "run.json"
         raise CampaignError(
             f"{folder}: expected a results folder with {missing}, as this version writes it; run "
@@ -77,21 +77,15 @@ def load(folder: str | os.PathLike[str]) -> Analysis:
     notes = []
     for part in PARTS:
         parts[part] = read_record(place, part, problem.campaign, data)
-        if parts[part] is None and (place / file_of(part)).is_file():
+        if parts[part] is None and results.has(file_of(part)):
             notes.append(f"{part}: that in {folder} is of other data than its newest result")
-    try:
-        entry = dict(run["commands"][run["last"]])
-        warnings = tuple(str(text) for text in entry["warnings"])
-        more: dict[str, Any] = {
-            "settings": dict(entry["settings"]),
-            "seed": int(entry["seed"]),
-            "seconds": {str(k): float(v) for k, v in entry["seconds"].items()},
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise CampaignError(
-            f"{place / 'run.json'}: expected the record of a run, but it cannot be read "
-            f"({error!r:.80}); run the command again"
-        ) from None
+    entry = run["commands"][run["last"]]
+    warnings = tuple(entry["warnings"])
+    more: dict[str, Any] = {
+        "settings": dict(entry["settings"] or {}),
+        "seed": entry["seed"],
+        "seconds": {name: float(seconds) for name, seconds in entry["seconds"].items()},
+    }
     said = [text for text in warnings if text.startswith("not diagnosed: ")]
     notes += [f"gap: {text}" for text in said if parts["gap"] is None]
     absent = tuple(f"{part}: " for part in PARTS if parts[part] is None)
@@ -102,7 +96,9 @@ def load(folder: str | os.PathLike[str]) -> Analysis:
         bounds_json=None if parts["bounds"] is None else results.json("bounds.json"),
         warnings=warnings,
         notes=tuple(notes),
-        saved_traces=tuple(load_traces(traces)) if parts["fit"] and traces.is_file() else None,
+        saved_traces=tuple(load_traces(traces))
+        if parts["fit"] and results.has(traces.name)
+        else None,
         **parts,
         **more,
     )

@@ -58,10 +58,12 @@ def run_posterior(job: Job) -> None:
 
 def watching(job: Job, tell: Progress) -> Progress:
     """``tell``, with a message if ``--resume`` finds ensembles that cannot be continued."""
+    from bayes_sensor.posterior.checkpoints import MARKER
+
     checkpoint = job.checkpoint
     if not job.resume or checkpoint is None:
         return tell
-    marker = checkpoint / "run.json"
+    marker = checkpoint / MARKER
     if not (marker.is_file() and any(checkpoint.glob("ensemble-*.npz"))):
         return tell
     before = [marker.read_bytes()]

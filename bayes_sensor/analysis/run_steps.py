@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -146,7 +145,7 @@ def run_steps(
                 finished(stage, job)
         job.warnings = tuple(warnings_of(job, remarks))
         return job
-    with results.locked(patience), ExitStack() as stack:
+    with results.locked(patience, SAVES[command]), ExitStack() as stack:
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         staged = pick_up(job)
         begun(job)
@@ -168,7 +167,7 @@ def run_steps(
             finished(stage, job)
         job.warnings = tuple(warnings_of(job, remarks))
         if job.exit_code == 0 and not job.quick and job.posterior is not None:
-            shutil.rmtree(results.path(CHECKPOINT), ignore_errors=True)
+            results.clear(CHECKPOINT)
     return job
 
 

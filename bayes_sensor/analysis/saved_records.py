@@ -8,19 +8,25 @@ in ``run.json``.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.campaign import Campaign
 from bayes_sensor.io.record_archive import load_record, save_record
 from bayes_sensor.io.results import Stage
+from bayes_sensor.io.untrusted import refused
 from bayes_sensor.likelihood.problem import Problem
 
 CAMPAIGN = "campaign"
-PARTS = ("fit", "residuals", "posterior", "predictive", "bounds", "delays", "gap")
-"""results that have a record"""
+KINDS = {
+    "fit": "Fit", "residuals": "Residuals", "posterior": "Posterior",
+    "predictive": "PredictiveCheck", "bounds": "Bounds", "delays": "Delays", "gap": "Gap",
+}  # fmt: skip
+"""results that have a record, and what that is called"""
+PARTS = tuple(KINDS)
 _SHORTER: dict[str, Callable[[Any], Any]] = {
     "fit": lambda fit: replace(fit, seconds=0.0),
     "posterior": lambda posterior: replace(posterior, seconds=0.0),
@@ -86,27 +92,22 @@ def known_objects(part: str, campaign: Campaign) -> dict[str, Any]:
 def read_problem(folder: Path) -> tuple[Problem, str] | None:
     """The problem of a results folder and the hash of its data; None where it has none."""
     path = folder / file_of(CAMPAIGN)
-    if not path.is_file():
+    if not os.path.lexists(path):
         return None
     found = load_record(path, "campaign")
     problem = found.get("record") if isinstance(found, dict) else None
     if not isinstance(problem, Problem) or found.get("data") != data_digest(problem.campaign):
-        raise CampaignError(
-            f"{path}: expected a saved campaign with its samples, but it holds something else; run "
-            "the command that made it again"
-        )
+        raise refused(path, "a saved campaign with its samples", "it holds something else")
     return problem, str(found["data"])
 
 
 def read_record(folder: Path, part: str, campaign: Campaign, data: str) -> Any:
     """A record of a results folder; None where there is none, or it is of other data."""
     path = folder / file_of(part)
-    if not path.is_file():
+    if not os.path.lexists(path):
         return None
     found = load_record(path, part, known_objects(part, campaign))
-    if not isinstance(found, dict) or "record" not in found:
-        raise CampaignError(
-            f"{path}: expected a saved {part}, but it holds something else; run the command that "
-            "made it again"
-        )
+    kind = type(found.get("record")).__name__ if isinstance(found, dict) else ""
+    if kind != KINDS[part]:
+        raise refused(path, f"a saved {part}", "it holds something else")
     return found["record"] if found.get("data") == data else None

@@ -16,6 +16,7 @@ from bayes_sensor.blind_check.sealing import (
     PLAN,
     SEALED,
     VERDICTS,
+    contents,
     digest,
     files_digest,
     seal_truths,
@@ -23,10 +24,11 @@ from bayes_sensor.blind_check.sealing import (
     write_hashes,
 )
 from bayes_sensor.blind_check.simulator import Case, make_campaign
+from bayes_sensor.blind_check.truth import complete_truth
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.checks.study_chunks import run_chunks
-from bayes_sensor.io.disk import write_text
 from bayes_sensor.io.json_files import json_text, plain, read_json, write_json
+from bayes_sensor.io.results import Results
 
 Diagnose = Callable[[Campaign, int, Sequence[str], str], Mapping[str, Any]]
 """campaign, seed, effects taken out, setting -> content of gap.json"""
@@ -158,7 +160,7 @@ def diagnose_cases(
     """
     if setting not in SETTINGS:
         raise CampaignError(f"--setting: expected one of {', '.join(SETTINGS)}, got '{setting}'")
-    planned = read_json(folder / PLAN)["cases"] if (folder / PLAN).is_file() else []
+    planned = list((Results(folder).json(PLAN) or {"cases": []})["cases"])
     names = {case["case"] for case in planned}
     planned += [
         {"case": path.parent.name, "seed": 1, "without": []}
@@ -180,7 +182,7 @@ def diagnose_cases(
             made_from[name] = {"of": "files", "sha256": files_digest(toml)}
             continue
         truth = read_json(folder / SEALED / f"{name}.json")
-        if "recipe" not in truth:
+        if "recipe" not in complete_truth(truth, name):
             raise CampaignError(
                 f"campaigns/{name}: expected campaign.toml there, because the sealed truth has no "
                 "recipe to make the campaign from; put the campaign back"
@@ -196,8 +198,9 @@ def diagnose_cases(
     )
     verdicts = target / VERDICTS
     verdicts.mkdir(parents=True, exist_ok=True)
-    for case, text in zip(planned, done["verdict"].tolist(), strict=True):
-        write_text(verdicts / f"{case['case']}.json", text)
+    told = contents(done, "verdict", parts, "verdicts/*.json")
+    for case, verdict in zip(planned, told, strict=True):
+        write_json(verdicts / f"{case['case']}.json", verdict)
     write_hashes(target, VERDICTS)
     write_json(target / f"{CAMPAIGNS}.json", made_from)
     seconds = np.asarray(done["seconds"], dtype=float)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,9 @@ from bayes_sensor.blind_check.truth import check_truth, complete_truth
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.checks.study_chunks import run_chunks
 from bayes_sensor.io.json_files import json_text, read_json, sha256, write_json
+from bayes_sensor.io.result_schema import check_result, read_result
+from bayes_sensor.io.results import Results
+from bayes_sensor.io.untrusted import parse_json, refused
 
 LOG = logging.getLogger(__name__)
 PLAN, SEALED, VERDICTS, CAMPAIGNS = "plan.json", "sealed", "verdicts", "campaigns"
@@ -49,6 +52,15 @@ class Sealing:
     def __call__(self, i: int) -> dict[str, Any]:
         """``truth``: JSON."""
         return {"truth": json_text(draw_truth(self.entries[i]))}
+
+
+def contents(parts: Mapping[str, Any], key: str, folder: Path, schema: str) -> list[Any]:
+    """The JSON texts of finished parts, each checked by a name of the result schema."""
+    texts = parts.get(key)
+    if texts is None or texts.dtype.kind != "U" or texts.ndim != 1:
+        raise refused(folder, "finished parts of a blind check", f"they have no texts of {key}")
+    found = (parse_json(text.encode(), folder) for text in texts.tolist())
+    return [check_result(each, folder, schema) for each in found]
 
 
 def task_key(*parts: Any) -> str:
@@ -79,7 +91,7 @@ def draw_cases(
     """
     task = Sealing(tuple(make_plan(n, seed, reserve, size)))
     drawn = run_chunks(task, n, parts / "sealing", task.key, jobs, chunk, scheduler, progress)
-    truths = [json.loads(text) for text in drawn["truth"].tolist()]
+    truths = contents(drawn, "truth", parts, "a drawn truth")
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     plan = []
     for truth in truths:
@@ -124,17 +136,18 @@ def write_hashes(folder: Path, what: str) -> None:
 
 
 def _hashes(folder: Path, what: str) -> dict[str, Any]:
-    path = folder / f"{what}.json"
-    return dict(read_json(path)) if path.is_file() else {}
+    return dict(Results(folder).json(f"{what}.json") or {})
 
 
 def _tables(toml: Path) -> list[dict[str, Any]]:
     """The experiments of a campaign file, as they are written there."""
+    from bayes_sensor.io.readers import read_bytes
     from bayes_sensor.io.readers.campaign_file import read_sheet
-    from bayes_sensor.io.toml_text import read_toml
+    from bayes_sensor.io.toml_text import LARGEST, read_toml
 
     label = f"{CAMPAIGNS}/{toml.parent.name}/{toml.name}"
-    return read_sheet(read_toml(toml.read_bytes(), label), label).experiment
+    content = read_bytes(toml, label, LARGEST, "a campaign file in TOML")
+    return read_sheet(read_toml(content, label), label).experiment
 
 
 def _experiments(folder: Path, name: str) -> list[str] | None:
@@ -194,7 +207,7 @@ def open_seals(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
             truth = read_json(file)
             if path.stem in late:  # which can still be corrected
                 check_truth(truth, path.stem, _experiments(folder, path.stem))
-            both.append((complete_truth(truth, path.stem), read_json(path)))
+            both.append((complete_truth(truth, path.stem), read_result(path)))
     if not both:
         raise CampaignError(
             f"{folder}: expected verdicts/NAME.json and sealed/NAME.json of the same names, but "
@@ -229,7 +242,8 @@ def _check_campaigns(folder: Path) -> None:
         if recorded["of"] == "files":
             found = files_digest(toml) if toml.is_file() else None
         else:  # cases drawn anew have other recipes under the same names
-            recipe = read_json(truth).get("recipe") if truth.is_file() else None
+            sealed = complete_truth(read_json(truth), name) if truth.is_file() else {}
+            recipe = sealed.get("recipe")
             found = digest(recipe) if recipe is not None else None
         if found not in (None, recorded["sha256"]):
             raise CampaignError(

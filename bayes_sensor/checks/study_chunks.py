@@ -15,12 +15,13 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.disk import write_bytes
+from bayes_sensor.io.result_schema import read_result
+from bayes_sensor.io.untrusted import read_arrays, refused
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 
@@ -88,7 +89,8 @@ def run_chunks(
         label = code if code == begun else f"{begun}+{code}"
         _claim(folder, {"key": key, "chunk": chunk, "code": label})
         spans = [(a, min(a + chunk, n)) for a in range(0, n, chunk)]
-        parts = {span: part for span in spans if (part := _load(_file(folder, span))) is not None}
+        found = {(a, b): _load(_file(folder, (a, b)), b - a) for a, b in spans}
+        parts = {span: part for span, part in found.items() if part is not None}
         todo = [span for span in spans if span not in parts]
         done = n - sum(b - a for a, b in todo)
         tell = progress or (lambda done, n: None)
@@ -112,7 +114,7 @@ def run_chunks(
             "%s: the code was changed while this ran, and the results may be of both states; "
             "run it again", folder,
         )  # fmt: skip
-    return {name: np.concatenate([parts[s][name] for s in spans]) for name in parts[spans[0]]}
+    return _alike({span: parts[span] for span in spans}, folder)
 
 
 CODE_AT_START: dict[str, str] = {}
@@ -137,15 +139,15 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
     """Remove from ``folder`` the parts of studies with other settings."""
     marker = folder / "study.json"
     try:
-        known = json.loads(marker.read_text())
-    except (FileNotFoundError, ValueError):
+        known = read_result(marker)
+    except CampaignError:  # none, or damaged by a power cut
         known = None
     if known != settings:
         parts = list(folder.glob("chunk-*.npz"))
         for old in parts:
             old.unlink()
         if parts:
-            code = known.get("code") if isinstance(known, dict) else None
+            code = known["code"] if known else None
             LOG.warning(
                 "%s: %d finished parts are of other %s and are not used; all is computed anew",
                 folder, len(parts), "settings" if code == settings["code"] else "code",
@@ -153,13 +155,23 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
         write_bytes(marker, json.dumps(settings).encode())
 
 
-def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """A finished part; None if it is missing or damaged by a power cut."""
+def _load(path: Path, n: int) -> dict[str, np.ndarray] | None:
+    """A finished part of ``n`` tasks; None if it is missing or damaged by a power cut."""
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as saved:
-            return {name: saved[name] for name in saved.files}
-    except (FileNotFoundError, EOFError, ValueError, BadZipFile):
+        saved = read_arrays(path, "parts of a study")
+    except CampaignError:
         return None
+    return saved if all(a.ndim and len(a) == n for a in saved.values()) else None
+
+
+def _alike(
+    parts: dict[tuple[int, int], dict[str, np.ndarray]], folder: Path
+) -> dict[str, np.ndarray]:
+    """All parts one after the other; CampaignError where they do not hold the same."""
+    kinds = [{k: (a.dtype.kind, a.shape[1:]) for k, a in part.items()} for part in parts.values()]
+    if any(kind != kinds[0] for kind in kinds):
+        raise refused(folder, "parts of one study", "they do not hold the same")
+    return {name: np.concatenate([part[name] for part in parts.values()]) for name in kinds[0]}
 
 
 def _run(task: Task, span: tuple[int, int]) -> dict[str, np.ndarray]:

@@ -66,7 +66,7 @@ def plan_experiments(asked: Planning) -> int:
     elif not len(problem.name_factors[1]):  # nothing that the data may decide
         _check_order(problem.naming(), path)
     results = Results(asked.out)
-    with results.locked():
+    with results.locked(steps=["design"]):
         with progress_bar("design", quiet) as tell:
             if vector is None:
                 vector = _estimated(problem, asked.seed, tell, path)

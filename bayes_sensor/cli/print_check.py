@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayes_sensor.analysis.read_input import check_methods, read_input
-from bayes_sensor.campaign import counted
+from bayes_sensor.campaign import CampaignError, counted
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
+from bayes_sensor.io.untrusted import LARGEST_FILE, read_bytes
 
 FIGURE = "check.png"
 WIDEST = 40
 """characters of a cell: a longer name is cut off"""
+
+
+def _check_free(place: Path) -> None:
+    """Raise CampaignError where a picture stands that this command has not drawn."""
+    from bayes_sensor.figures.style import SOFTWARE
+
+    if os.path.lexists(place):
+        content = read_bytes(place, LARGEST_FILE, "a picture that check drew")
+        if f"Software\0{SOFTWARE}".encode() not in content[:1000]:
+            raise CampaignError(
+                f"{place}: expected a picture that check drew, but it is another; move it away, so "
+                "that it is not replaced"
+            )
 
 
 def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool = False) -> None:
@@ -32,6 +47,7 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
     if plot:
         from bayes_sensor.figures import png, understood
 
+        _check_free(path.parent / FIGURE)
         write_bytes(path.parent / FIGURE, png(understood(campaign), dpi=130))
     if quiet:
         return

@@ -8,6 +8,7 @@ from typing import Any
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.readers.quantities import Kind, read_quantity
+from bayes_sensor.io.result_schema import check_result
 
 
 def read_option(text: str, kind: Kind, option: str) -> float:
@@ -48,4 +49,4 @@ def _parameters(path: Path, like: str, last: str) -> dict[str, Any]:
             f"{path.name}: expected parameters as in {like} (tau_s, tau_v_s, V_mL, {last}), "
             "but tau_s is not there; give such a file"
         )
-    return content
+    return dict(check_result(content, path, "parameters"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,13 +18,13 @@ from bayes_sensor.blind_check import (
     sealed_late,
     table,
 )
+from bayes_sensor.blind_check.sealing import CAMPAIGNS, SEALED, VERDICTS
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.figures.plot_blind_check import score_card
 from bayes_sensor.io.csv_text import csv_text
-from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
 
@@ -48,6 +47,8 @@ def blind_check(wanted: BlindCheck, only: str | None) -> None:
             "correct it"
         )
     results = Results(out)
+    for name in (SEALED, VERDICTS, CAMPAIGNS):
+        results.own_folder(name)
     plan = results.json("plan.json")
     drawn = {case["case"] for case in plan["cases"]} if plan else set()
     found = {path.parent.name for path in (out / "campaigns").glob("*/campaign.toml")}
@@ -62,7 +63,7 @@ def blind_check(wanted: BlindCheck, only: str | None) -> None:
     with results.locked():
         parts = results.own_folder(PARTS)
         if not wanted.resume:
-            shutil.rmtree(parts, ignore_errors=True)
+            results.clear(PARTS)
         with results.writing() as stage:
             made = stage.inside if only is None else results.folder
             if only in (None, "cases"):
@@ -95,7 +96,7 @@ def blind_check(wanted: BlindCheck, only: str | None) -> None:
         if card is not None:  # from the whole folder, which may hold an analysis as well
             with progress_bar("report", quiet) as tell, last_step(results):
                 put_report(results, tell)
-        shutil.rmtree(parts, ignore_errors=True)
+        results.clear(PARTS)
     if card is not None:
         say(summary(card), quiet)
         if card["sealed_late"]:
@@ -103,7 +104,7 @@ def blind_check(wanted: BlindCheck, only: str | None) -> None:
         say(f"score card: {results.path('score_card.png')}", quiet)
         say(f"report: {results.path('report.html')}", quiet)
     elif only == "diagnose":
-        names = read_json(results.path("verdicts.json"))
+        names = results.json("verdicts.json")
         say(f"verdicts of {len(names)} campaigns: {results.path('verdicts')}", quiet)
         sealed = results.json("sealed.json") or {}
         if missing := [name for name in names if name not in sealed]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import TYPE_CHECKING
 
 from bayes_sensor import figures
@@ -38,9 +37,9 @@ def study_coverage(wanted: CoverageStudy) -> None:
     resamples = asked.resamples if "resamples" in asked.model_fields_set else None
     results = Results(wanted.out)
     parts = results.own_folder(CHUNKS)
-    with results.locked():
+    with results.locked(steps=["coverage"]):
         if not wanted.resume:
-            shutil.rmtree(parts, ignore_errors=True)
+            results.clear(CHUNKS)
         with progress_bar("coverage", wanted.quiet) as tell:
             table = run_coverage(
                 parts, chosen, wanted.campaigns, names, wanted.seed, wanted.jobs, wanted.scheduler,

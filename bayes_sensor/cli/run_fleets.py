@@ -74,7 +74,8 @@ class Analysis:
             told = io.StringIO()
             with redirect_stdout(io.StringIO()), redirect_stderr(told):
                 own_folder(results.folder)
-                results.path(OUTCOME).unlink(missing_ok=True)
+                if results.json(OUTCOME) is not None:  # CampaignError where it is no outcome
+                    results.path(OUTCOME).unlink()
                 run_command(
                     "analyze", entry.file, results.folder, seed=self.seed, jobs=1, quiet=True,
                     config=self.config, resume=self.resume, posterior=self.posterior,
@@ -204,7 +205,7 @@ def _run(
         client = None
         if scheduler is not None:  # before anything is written: it may not answer
             client = stack.enter_context(dask_client(scheduler))
-        stack.enter_context(results.locked())
+        stack.enter_context(results.locked(steps=["fleet"]))
         results.own_folder(FOLDER)
         outcomes = _outcomes(task, entries, jobs, client, tell)
         rows = [outcome["row"] for outcome in outcomes]

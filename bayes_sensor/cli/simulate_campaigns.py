@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,19 +180,6 @@ def _recorded(
     return recorded, {**theta, "effects": strengths}
 
 
-def _check_free(results: Results, written: Path) -> None:
-    """Raise CampaignError if a simulation would replace files that it did not write."""
-    earlier = results.json("run.json")
-    if isinstance(earlier, Mapping) and "simulate" in earlier.get("commands", {}):
-        return
-    for path in sorted(written.iterdir()):
-        if os.path.lexists(results.path(path.name)):
-            raise CampaignError(
-                f"--out {results.folder}: it holds a {path.name} that no simulation wrote; "
-                "expected a new folder, so that no measurement is lost: choose another"
-            )
-
-
 def simulate_campaign(asked: Simulation) -> None:
     """Write data files, campaign.toml and truth.json.
 
@@ -287,7 +272,6 @@ def simulate_campaign(asked: Simulation) -> None:
         with results.writing() as stage:
             tell(0.4, "writing")
             write_campaign(recorded, stage.inside, formats=asked.file_format)
-            _check_free(results, stage.inside)
             stage.json("truth.json", {**theta, "signal_unit": unit})
             put_run(
                 stage, "simulate", clock, seed=asked.seed,

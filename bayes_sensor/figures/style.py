@@ -192,13 +192,17 @@ def svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
+SOFTWARE = "bayes-sensor"
+"""that a PNG says it was drawn by"""
+
+
 def png(figure: Figure, dpi: int = 160) -> bytes:
     """The figure as a PNG on white."""
     stream = io.BytesIO()
     with _drawing():
         settle(figure)
         figure.savefig(
-            stream, format="png", dpi=dpi, facecolor="white", metadata={"Software": None}
+            stream, format="png", dpi=dpi, facecolor="white", metadata={"Software": SOFTWARE}
         )
     return stream.getvalue()
 

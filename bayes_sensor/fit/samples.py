@@ -13,12 +13,15 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log2
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.io.array_archive import load_archive, save_archive, unreadable
+from bayes_sensor.io.array_archive import check_array, load_archive, save_archive
+from bayes_sensor.io.result_schema import check_result
+from bayes_sensor.io.untrusted import refused
 
 if TYPE_CHECKING:
     from bayes_sensor.likelihood.problem import Problem
@@ -227,15 +230,14 @@ def save_samples(path: str | os.PathLike[str], samples: Sequence[Samples]) -> No
 def load_samples(path: str | os.PathLike[str]) -> list[Samples]:
     """What :func:`save_samples` wrote."""
     facts, content = load_archive(path, "samples")
-    try:
-        return [
-            Samples(
-                **fact,
-                runs=content[f"{k}_runs"],
-                values=np.cumsum(content[f"{k}_steps"], dtype=np.int64),
-                model=content[f"{k}_model"],
-            )
-            for k, fact in enumerate(facts)
-        ]
-    except (ValueError, KeyError, TypeError) as error:
-        raise unreadable(path, "samples", error) from None
+    check_result(facts, Path(path))
+    made = []
+    for k, fact in enumerate(facts):
+        runs = check_array(path, content, f"{k}_runs", "i", (None, 3))
+        steps = check_array(path, content, f"{k}_steps", "i", (None,))
+        model = check_array(path, content, f"{k}_model", "f", (3, None))
+        if (runs < 0).any() or (runs[:, 1:] > len(steps)).any() or runs[:, 1].sum() != len(steps):
+            raise refused(path, f"runs of {len(steps)} samples", "they are of others")
+        values = np.cumsum(steps, dtype=np.int64)
+        made.append(Samples(**fact, runs=runs, values=values, model=model))
+    return made

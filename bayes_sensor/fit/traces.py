@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.io.array_archive import load_archive, save_archive
+from bayes_sensor.io.array_archive import check_array, load_archive, save_archive
 from bayes_sensor.io.json_files import plain
+from bayes_sensor.io.result_schema import check_result
 
 if TYPE_CHECKING:
     from bayes_sensor.likelihood.problem import Problem
@@ -176,13 +178,15 @@ def save_traces(path: str | os.PathLike[str], traces: Sequence[Trace]) -> None:
 def load_traces(path: str | os.PathLike[str]) -> list[Trace]:
     """What :func:`save_traces` wrote."""
     facts, content = load_archive(path, "traces")
+    check_result(facts, Path(path))
     traces = []
     for k, fact in enumerate(facts):
         parts: dict[str, Any] = dict.fromkeys(_PARTS)
         for part in parts:
-            if f"{k}_{part}" in content:
-                table = content[f"{k}_{part}"].astype(float)
-                table[0] += content.get(f"{k}_{part}_start", 0.0)
+            if part != "fall" or f"{k}_{part}" in content:
+                shape = (len(fields(Envelope)), None)
+                table = check_array(path, content, f"{k}_{part}", "f", shape).astype(float)
+                table[0] += check_array(path, content, f"{k}_{part}_start", "f", (1,))
                 parts[part] = Envelope(*table)
         if fact["total_flow"] is None:  # which JSON has in place of nan
             fact["total_flow"] = float("nan")

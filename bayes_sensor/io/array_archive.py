@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.disk import replacing
+from bayes_sensor.io.untrusted import LARGEST_JSON, parse_json, read_arrays, refused
 
 FACTS = "facts"
+LARGEST = 1e100
+"""of a number in an array: its square is one, too"""
 
 
 def save_archive(path: str | os.PathLike[str], facts: Any, arrays: Mapping[str, Any]) -> None:
@@ -31,21 +30,33 @@ def load_archive(path: str | os.PathLike[str], what: str) -> tuple[Any, dict[str
 
     Raises CampaignError for a file that is damaged or holds something else.
     """
-    try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        facts = json.loads(content.pop(FACTS).tobytes().decode("utf-8"))
-    except (
-        OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, NotImplementedError,
-        RuntimeError, zlib.error, BadZipFile,
-    ) as error:  # fmt: skip
-        raise unreadable(path, what, error) from None
-    return facts, content
+    content = read_arrays(path, what)
+    facts = content.pop(FACTS, None)
+    if facts is None or facts.dtype != np.uint8 or facts.nbytes > LARGEST_JSON:
+        raise refused(path, f"saved {what}", "there are no facts in the archive")
+    return parse_json(facts.tobytes(), path), content
 
 
-def unreadable(path: str | os.PathLike[str], what: str, error: Exception) -> CampaignError:
-    """The error for an archive that cannot be read."""
-    return CampaignError(
-        f"{path}: expected saved {what}, but they cannot be read ({error}); "
-        "run the command that made them again"
-    )
+def check_array(
+    path: str | os.PathLike[str],
+    arrays: Mapping[str, np.ndarray],
+    name: str,
+    kinds: str,
+    shape: tuple[int | None, ...],
+) -> np.ndarray:
+    """The array of a name; CampaignError for another kind of numbers or shape, or for no numbers.
+
+    ``shape``: lengths, None for any but 0.
+    """
+    array = arrays.get(name)
+    if array is None:
+        raise refused(path, f"an array {name}", "there is none")
+    alike = array.ndim == len(shape) and array.size > 0
+    if not alike or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        raise refused(path, f"an array {name} of shape {wanted}", f"it has {array.shape}")
+    if array.dtype.kind not in kinds:
+        raise refused(path, f"an array {name} of numbers", f"it holds {array.dtype}")
+    if array.dtype.kind == "f" and not float(np.abs(array).max()) < LARGEST:  # nan is not, too
+        raise refused(path, f"an array {name}", "a number in it is not finite, or out of range")
+    return array

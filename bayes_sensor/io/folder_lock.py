@@ -61,11 +61,12 @@ class Lock:
         return record.get("host") == platform.node() and not _alive(int(record.get("pid", 0)))
 
     def _record(self) -> dict[str, Any]:
+        from bayes_sensor.io.result_schema import read_result  # slow to import
+
         try:
-            found = json.loads(self.path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            return dict(read_result(self.path))
+        except CampaignError:  # not signed yet, or not ours
             return {}
-        return found if isinstance(found, dict) else {}
 
     def _owner(self) -> str:
         record = self._record()

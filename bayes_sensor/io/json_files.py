@@ -7,15 +7,14 @@ import json
 import os
 from collections.abc import Mapping
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import CampaignError
-from bayes_sensor.io.disk import (
-    write_text,
-)
+from bayes_sensor.io.disk import write_text
+from bayes_sensor.io.untrusted import read_json
+
+__all__ = ["json_text", "plain", "read_json", "sha256", "write_json"]
 
 
 def plain(value: Any, where: str = "result") -> Any:
@@ -51,22 +50,6 @@ def json_text(content: Any) -> str:
 def write_json(path: str | os.PathLike[str], content: Any) -> None:
     """Write a result as JSON, complete or not at all."""
     write_text(path, json_text(content))
-
-
-def read_json(path: str | os.PathLike[str]) -> Any:
-    """The content of a saved result; CampaignError says what is wrong with the file."""
-    path = Path(path)
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise CampaignError(
-            f"{path}: there is no such file; expected a saved result: run the command that makes it"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise CampaignError(
-            f"{path}: expected a saved result in JSON, but it cannot be read ({error}); "
-            "give a file such as fit.json, or run the command that makes it again"
-        ) from None
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.results import Stage
 from bayes_sensor.io.run_record import now, run_record
 
 
@@ -47,7 +47,7 @@ def put_run(
     a design) has no ``basis``.  ``more`` stands at the top.
     """
     entry = run_record(
-        Results(stage.folder).json("run.json"), command, basis=basis, seed=seed, settings=settings,
+        stage.results.json("run.json"), command, basis=basis, seed=seed, settings=settings,
         campaign=campaign, files=files or {}, started=clock.started,
         seconds={command: clock.seconds} if seconds is None else seconds,
         exit_code=exit_code, warnings=warnings, command_line=command_line,

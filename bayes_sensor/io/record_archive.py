@@ -1,12 +1,15 @@
 """Records of this package in a file, and back: every field as it was, to the last digit.
 
 A record (a frozen dataclass) is written as a tree of plain values with its arrays beside it, in one
-NumPy archive.  Nothing in the file is executed: only records and functions that this package
-defines are looked up, and records are made by their constructors, which check what they get.
+NumPy archive.  Nothing in the file is executed: only records and functions of :data:`ROOMS` are
+looked up, each field must have the type that its record declares, and records are made by their
+constructors, which check what they get.  A hash of all of it tells what was edited.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
@@ -19,12 +22,20 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.array_archive import load_archive, save_archive
+from bayes_sensor.io.field_types import check_fields
+from bayes_sensor.io.untrusted import refused
 
 PACKAGE = "bayes_sensor"
-VERSION = 1
+ROOMS = (
+    "campaign", "experiment", "rig", "io", "likelihood", "fit", "residuals", "posterior", "bounds",
+    "checks", "diagnosis",
+)  # fmt: skip
+"""of the package, that have records to be saved"""
+VERSION = 2
 """of the layout of the file"""
 EVEN = 1000
 """length from which an evenly spaced array is looked for"""
+MOST_EVEN = 1 << 27
 KIND = "$"
 """key that says what a mapping of the tree stands for"""
 
@@ -38,7 +49,8 @@ def save_record(
     """
     writer = _Writer({id(value): name for name, value in (known or {}).items()})
     tree = writer.tree(record)
-    save_archive(path, {"version": VERSION, "record": tree}, writer.arrays)
+    facts = {"version": VERSION, "sha256": _digest(tree, writer.arrays), "record": tree}
+    save_archive(path, facts, writer.arrays)
 
 
 def load_record(
@@ -55,16 +67,26 @@ def load_record(
     try:
         if facts["version"] != VERSION:
             raise ValueError(f"version {facts['version']}")
+        if facts["sha256"] != _digest(facts["record"], arrays):
+            raise ValueError("it was changed since it was saved")
         return _Reader(arrays, known or {}).value(facts["record"])
     except (
         AttributeError, ImportError, IndexError, KeyError, OverflowError, RecursionError, TypeError,
         ValueError,
     ) as error:  # fmt: skip
         said = str(error) if isinstance(error, CampaignError) else repr(error)
-        raise CampaignError(
-            f"{path}: expected a saved {what} of this version, but it cannot be read "
-            f"({' '.join(said.split())[:160]}); run the command that made it again"
-        ) from None
+        told = f"it cannot be read ({' '.join(said.split())[:160]})"
+        raise refused(path, f"a saved {what} of this version", told) from None
+
+
+def _digest(tree: Any, arrays: Mapping[str, np.ndarray]) -> str:
+    """One hash of a record's plain values and its arrays."""
+    found = hashlib.sha256(json.dumps(tree, sort_keys=True, allow_nan=False).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
 
 
 class _Writer:
@@ -147,7 +169,9 @@ class _Reader:
         kind = _found(tree["of"])
         if not (isinstance(kind, type) and (is_dataclass(kind) or hasattr(kind, "_fields"))):
             raise TypeError(f"{tree['of']} is no record")
-        return kind(**{name: self.value(each) for name, each in tree["fields"].items()})
+        content = {name: self.value(each) for name, each in tree["fields"].items()}
+        check_fields(kind, content)
+        return kind(**content)
 
     def _function(self, tree: Mapping[str, Any]) -> Any:
         found = _found(tree["of"])
@@ -180,8 +204,9 @@ def _name(thing: Any) -> str:
 def _found(name: str) -> Any:
     """What this package calls so."""
     module, _, path = name.partition(":")
-    if not module.startswith(f"{PACKAGE}."):
-        raise TypeError(f"{name} is not of {PACKAGE}")
+    package, *rooms = module.split(".")
+    if package != PACKAGE or not rooms or rooms[0] not in ROOMS:
+        raise TypeError(f"{name} is no record of {PACKAGE}")
     found: Any = import_module(module)
     for part in path.split("."):
         found = getattr(found, part)
@@ -191,6 +216,8 @@ def _found(name: str) -> Any:
 
 
 def _spaced(start: float, step: float, n: int) -> np.ndarray:
+    if not 0 <= n <= MOST_EVEN:
+        raise ValueError(f"{n} even times")
     return start + step * np.arange(n, dtype=float)
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.io.array_archive import check_array
 from bayes_sensor.io.disk import write_bytes
+from bayes_sensor.io.result_schema import read_result
+from bayes_sensor.io.untrusted import read_arrays
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.settings import Settings
+
+MARKER = "checkpoint.json"
+"""says what the chunks are of"""
 
 
 class Checkpoint:
@@ -25,12 +31,12 @@ class Checkpoint:
         if folder is None:
             return
         folder.mkdir(parents=True, exist_ok=True)
-        marker = folder / "run.json"
+        marker = folder / MARKER
         for rest in folder.glob(".ensemble-*"):  # of a run that was killed
             rest.unlink(missing_ok=True)
         try:
-            known = json.loads(marker.read_text())
-        except (FileNotFoundError, ValueError):
+            known = read_result(marker)
+        except CampaignError:  # none, or damaged by a power cut: begun anew
             known = None
         if not resume or known != {"digest": digest}:
             for old in folder.glob("ensemble-*.npz"):
@@ -41,21 +47,33 @@ class Checkpoint:
         assert self.folder is not None  # only reached with a folder
         return self.folder / f"ensemble-{j}-{i:05d}.npz"
 
-    def _chunk(self, j: int, i: int) -> dict[str, Any] | None:
-        """Chunk ``i`` of ensemble ``j``; None if it is missing or damaged by a power cut."""
+    def _chunk(self, j: int, i: int, shape: tuple[int, int, int]) -> dict[str, Any] | None:
+        """Chunk ``i`` of ensemble ``j``; None if it is missing, damaged or of another shape."""
+        path = self._path(j, i)
         try:
-            with (
-                self._path(j, i).open("rb") as stream,
-                np.load(stream, allow_pickle=False) as saved,
-            ):
-                return {name: saved[name] for name in saved.files}
-        except (FileNotFoundError, EOFError, ValueError, BadZipFile):
+            saved = read_arrays(path, "chains")
+            for name, kinds, wanted in (
+                ("chain", "f", shape), ("coords", "f", shape[1:]), ("log_prob", "f", shape[1:2]),
+                ("acceptance", "f", ()), ("keys", "u", (624,)), ("position", "i", ()),
+                ("has_gauss", "i", ()), ("gauss", "f", ()),
+            ):  # fmt: skip
+                check_array(path, saved, name, kinds, wanted)
+        except CampaignError:
             return None
+        return saved if 0 <= saved["position"] <= 624 else None
 
-    def read(self, j: int) -> list[tuple[FloatArray, Any, float]]:
-        """Chain, state at its end and acceptance of each chunk of ensemble ``j`` that is saved."""
+    def read(
+        self, j: int, shape: Callable[[int], tuple[int, int, int]]
+    ) -> list[tuple[FloatArray, Any, float]]:
+        """Chain, state at its end and acceptance of each chunk of ensemble ``j`` that is saved.
+
+        ``shape``: steps, walkers and dimensions of the chunk of a number.
+        """
         found: list[tuple[FloatArray, Any, float]] = []
-        while self.folder is not None and (saved := self._chunk(j, len(found))) is not None:
+        while self.folder is not None:
+            saved = self._chunk(j, len(found), shape(len(found)))
+            if saved is None:
+                break
             random = ("MT19937", saved["keys"], int(saved["position"]),
                       int(saved["has_gauss"]), float(saved["gauss"]))  # fmt: skip
             state = (saved["coords"], saved["log_prob"], random)

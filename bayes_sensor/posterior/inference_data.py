@@ -6,12 +6,20 @@ with the same groups and names.
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from bayes_sensor.io.untrusted import LARGEST_FILE, UNREADABLE, check_size, read_bytes, refused
+
+EXPECTED = "the draws of a posterior"
+DEEPEST = 4
+"""levels of groups in a file of ours, and two more"""
 ENGINE = "h5netcdf"
 
 
@@ -56,11 +64,37 @@ def save(groups: Mapping[str, Any], attributes: Mapping[str, Any], path: Path) -
 
 
 def load_group(path: Path, name: str) -> Any:
-    """One group of what :func:`save` wrote, as a Dataset in memory."""
+    """One group of what :func:`save` wrote, as a Dataset in memory.
+
+    Raises CampaignError for a file that is damaged, leads to others or unpacks to too much.
+    """
+    import h5py
     import xarray
 
-    with xarray.open_dataset(str(path), group=name, engine=ENGINE) as group:
-        return group.load()
+    content = read_bytes(path, LARGEST_FILE, EXPECTED)
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            check_size(_size(file), len(content))
+        with xarray.open_dataset(io.BytesIO(content), group=name, engine=ENGINE) as group:
+            return group.load()
+    except UNREADABLE as error:
+        raise refused(path, EXPECTED, f"they cannot be read ({error})") from None
+
+
+def _size(group: Any, depth: int = 0) -> int:
+    """Bytes of all datasets; ValueError for what leads out of the file, or round in it."""
+    import h5py
+
+    size = 0
+    for name in group:
+        item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+        if isinstance(item, h5py.Dataset) and not (item.external or item.is_virtual):
+            size += int(np.prod(item.shape or (1,), dtype=object)) * item.dtype.itemsize
+        elif isinstance(item, h5py.Group) and depth < DEEPEST:
+            size += _size(item, depth + 1)
+        else:
+            raise ValueError(f"'{str(name)[:60]}' is neither numbers nor a group of such")
+    return size
 
 
 def load(path: Path) -> Any:

@@ -11,12 +11,16 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.io.disk import replacing
+from bayes_sensor.io.untrusted import refused
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.posterior import inference_data as idata
 from bayes_sensor.posterior.draws import Draws
 from bayes_sensor.rig.lags import LAG_NAMES
 from bayes_sensor.rig.layout import unit_of
 from bayes_sensor.rig.switching import is_switch_time
+
+LARGEST = 1e100
+"""of a draw: its square is a number, too"""
 
 
 def variable_of(flat: str) -> str:
@@ -157,11 +161,19 @@ def _predictive(posterior: Draws, n_times: int = 240, n_draws: int = 120) -> tup
 
 
 def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
-    """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``."""
+    """Flat names and chains (n_chain, n_draw, n_theta) of a saved ``posterior.nc``.
+
+    Raises CampaignError where it holds something else.
+    """
     data = idata.load_group(Path(path), "posterior")
-    names, columns = [], []
+    names: list[str] = []
+    columns = []
     for kind in map(str, data.data_vars):
-        variable, flat = data[kind], str(data[kind].attrs["parameter"])
+        variable, flat = data[kind], str(data[kind].attrs.get("parameter", ""))
+        good = variable.dims[:2] == ("chain", "draw") and variable.ndim < 4 and variable.size
+        if not (good and flat and variable.dtype.kind == "f"):
+            told = f"{kind[:60]} is no parameter with its chains"
+            raise refused(path, idata.EXPECTED, told)
         own = [str(dim) for dim in variable.dims if dim not in ("chain", "draw")]
         if not own:
             names.append(flat)
@@ -172,4 +184,7 @@ def load_chains(path: str | Path) -> tuple[list[str], FloatArray]:
             if np.isfinite(values).all():
                 names.append(f"{flat}[{name}]")
                 columns.append(values)
-    return names, np.stack(columns, axis=-1)
+    chains = np.stack(columns, axis=-1) if columns else np.empty((0, 0, 0))
+    if not (chains.size and (np.abs(chains) < LARGEST).all() and len({*names}) == len(names)):
+        raise refused(path, idata.EXPECTED, "they are not finite, or a name stands twice")
+    return names, chains

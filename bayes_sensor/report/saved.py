@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,12 +12,10 @@ from typing import Any
 from bayes_sensor.campaign import ZIF8, CampaignError
 from bayes_sensor.fit.samples import Samples, load_samples
 from bayes_sensor.fit.traces import Trace, load_traces
+from bayes_sensor.io.result_schema import check_result, check_together
 from bayes_sensor.io.results import Results
+from bayes_sensor.io.untrusted import LARGEST_JSON, read_bytes, refused
 from bayes_sensor.report.headline import Headline, headline
-
-OF_A_CASE = ("case", "kind", "causes", "law", "d", "verdict", "said", "p_said", "confident_wrong",
-             "verdict_right")  # fmt: skip
-"""columns of a case of a blind check that the report shows"""
 
 
 @dataclass
@@ -38,7 +37,7 @@ class Saved:
     score: dict[str, Any] | None = None
     """of a blind check"""
     cases: list[dict[str, str]] | None = None
-    """its cases: :data:`OF_A_CASE` as they stand in cases.csv"""
+    """its cases as they stand in cases.csv"""
     traces: list[Trace] | None = None
     samples: list[Samples] | None = None
     draws: Path | None = None
@@ -130,11 +129,15 @@ def read_results(folder: str | Path, compare_published: bool = False) -> Saved:
     parts = ("fit", "residuals", "posterior", "posterior_without_effects", "predictive", "bounds",
              "delays", "gap", "coating")  # fmt: skip
     found = {name: results.json(f"{name}.json") for name in parts}
+    traces = load_traces(results.path("traces.npz")) if results.has("traces.npz") else None
+    samples = load_samples(results.path("samples.npz")) if results.has("samples.npz") else None
+    if campaign is not None:
+        check_together(results.folder, campaign, found, traces or [], samples or [])
     return Saved(
         campaign=campaign or {"title": "Blind check of the diagnosis", "experiments": []},
         run=results.json("run.json"),
-        traces=load_traces(results.path("traces.npz")) if results.has("traces.npz") else None,
-        samples=load_samples(results.path("samples.npz")) if results.has("samples.npz") else None,
+        traces=traces,
+        samples=samples,
         score=results.json("score.json"),
         cases=_cases(results.path("cases.csv")) if results.has("cases.csv") else None,
         draws=results.path("posterior.nc") if results.has("posterior.nc") else None,
@@ -144,27 +147,11 @@ def read_results(folder: str | Path, compare_published: bool = False) -> Saved:
 
 
 def _cases(path: Path) -> list[dict[str, str]]:
+    expected = "the cases of a blind check"
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [{name: row[name] for name in OF_A_CASE} for row in csv.DictReader(file)]
-        if any(value is None for row in rows for value in row.values()):
-            raise ValueError("a row is cut off")
-    except (OSError, KeyError, ValueError) as error:
-        raise CampaignError(
-            f"{path}: expected the cases of a blind check, but they cannot be read "
-            f"({type(error).__name__}: {error}); run bayes-sensor blind-check --score-only again"
-        ) from None
+        text = read_bytes(path, LARGEST_JSON, expected).decode("utf-8")
+        rows: list[dict[str, str]] = list(csv.DictReader(io.StringIO(text, newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise refused(path, expected, f"they cannot be read ({error})") from None
+    check_result(rows, path)
     return rows
-
-
-def read_chains(path: Path) -> tuple[list[str], Any]:
-    """Names and chains (n_chain, n_draw, n) of a saved posterior; CampaignError if unreadable."""
-    from bayes_sensor.posterior import load_chains
-
-    try:
-        return load_chains(path)
-    except (OSError, KeyError, ValueError) as error:
-        raise CampaignError(
-            f"{path}: expected the draws of a posterior, but they cannot be read ({error}); "
-            "run bayes-sensor posterior again"
-        ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.io.json_files import read_json
 from bayes_sensor.io.readers.quantities import Kind, read_quantity, read_spread
+from bayes_sensor.io.result_schema import read_result
+from bayes_sensor.io.untrusted import refused
 from bayes_sensor.posterior.save_draws import load_chains
 
 LAG = Kind("a lag", "s", "40 min")
@@ -152,7 +154,7 @@ def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagD
     """Draws of the lags from ``posterior.nc`` of a results folder; as :func:`posterior_lags`."""
     _check_place(at)
     path = folder / "posterior.nc"
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise CampaignError(
             f"{folder}: expected a results folder with posterior.nc, but there is none; run "
             "bayes-sensor posterior with --out there first"
@@ -173,7 +175,9 @@ def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagD
         )
     kept = [name for name in columns if name.startswith(("tau", "lag_"))]
     lags = np.stack([columns[name] for name in kept], axis=1)
-    n_lags = len(read_json(folder / "posterior.json")["lags_s"])
+    n_lags = len(read_result(folder / "posterior.json")["lags_s"])
+    if not kept:
+        raise refused(path, "draws of lags", "there are none")
     if len(kept) < n_lags:
         raise CampaignError(
             f"{path}: all experiments had one total flow, so that the volume's lag is one of "

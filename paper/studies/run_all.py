@@ -19,6 +19,7 @@ import study_determinism
 import study_extremes
 import study_faults
 import study_fleet
+import study_folders
 import study_gap
 import study_hostile
 import study_misfit
@@ -48,6 +49,7 @@ STUDIES = {
     "blind-check": study_blind_check.run,
     "order": study_order.run,
     "extremes": study_extremes.run,
+    "folders": study_folders.run,
     "hostile": study_hostile.run,
     "misfit": study_misfit.run,
     "real": study_real.run,

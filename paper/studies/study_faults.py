@@ -8,7 +8,8 @@ times, each of these runs is a fork of one process that has loaded it.
 
 The other faults are met as a user meets them: on file systems of a few kilobytes and one mounted
 read-only, where this program may mount; by a second run into the same folder; by the signal that
-Ctrl-C sends, with the machine's load stated; by a worker's death.
+Ctrl-C sends, with the machine's load stated; by a worker's death; by a Dask worker and a Dask
+scheduler that go away.  At last a hundred diagnoses in one process show what that keeps.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ TIME_OF_DAY = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 DURATION = re.compile(r'(TIME</td>(?:(?!</tr>).)*)<td data-v="[^"]*" class="num">[^<]*</td></tr>')
 UNFINISHED = re.compile(r"(^|/)(checkpoint|\w+(-\w+)*-parts|\.[^/]*)(/|$)")
 INTERRUPTED = (
-    "posterior", "bounds (profile, bootstrap)", "gap --bootstrap 60", "analyze", "blind-check",
+    "posterior", "bounds (profile, bootstrap)", "gap --bootstrap 20", "analyze", "blind-check",
     "coverage --jobs 2", "fleet --jobs 2",
 )  # fmt: skip
 """commands that Ctrl-C is pressed in"""
@@ -67,6 +68,19 @@ class Command:
     arguments: tuple[str, ...]
     kills: int
     resumes: bool = True
+    base: str = ""
+    """a folder with results, which the command is run on"""
+
+    def on(self, out: Path) -> tuple[str, ...]:
+        """The arguments for results in ``out``."""
+        place = (str(out),) if self.base else ("--out", str(out))
+        return (*self.arguments, *place, "--quiet")
+
+    def begin(self, out: Path) -> None:
+        """Clear ``out``, but for what the command needs there."""
+        shutil.rmtree(out, ignore_errors=True)
+        if self.base:
+            shutil.copytree(self.base, out)
 
 
 def commands(place: Path) -> list[Command]:
@@ -74,19 +88,22 @@ def commands(place: Path) -> list[Command]:
     one, other = str(place / "a" / "campaign.toml"), str(place / "effect" / "campaign.toml")
     quick = ("--config", str(place / "quick.toml"))
     few = ("--setting", "iid", "--method", "crlb_ar1", "--method", "sandwich")
+    goal = ("--target-tau", "100 ms", "--check", "0")
     return [
+        Command("report", ("report",), 24, False, str(place / "analysed")),
         Command("posterior --sampler hmc", ("posterior", one, *quick, "--sampler", "hmc"), 10),
-        Command("posterior", ("posterior", one, *quick), 30),
+        Command("posterior", ("posterior", one, *quick), 40),
         Command("bounds (profile, bootstrap)", ("bounds", one, *quick), 16),
-        Command("fit", ("fit", one, *quick), 8, False),
-        Command("coverage", ("coverage", "--campaigns", "80", *few), 15),
-        Command("analyze", ("analyze", one, *quick), 5),
-        Command("gap --bootstrap 60", ("gap", other, *quick, "--bootstrap", "60"), 5, False),
-        Command("fleet", ("fleet", str(place / "list.txt"), *quick), 4),
+        Command("fit", ("fit", one, *quick), 16, False),
+        Command("coverage", ("coverage", "--campaigns", "80", *few), 24),
+        Command("design", ("design", one, *goal, *quick), 16, False),
+        Command("analyze", ("analyze", one, *quick), 20),
+        Command("gap --bootstrap 20", ("gap", other, *quick, "--bootstrap", "20"), 12, False),
+        Command("fleet", ("fleet", str(place / "list.txt"), *quick), 8),
         Command(
             "blind-check",
-            ("blind-check", "--cases", "8", "--size", "small", "--setting", "study"),
-            3,
+            ("blind-check", "--cases", "4", "--size", "small", "--setting", "study"),
+            10,
         ),
         Command("posterior --jobs 2", ("posterior", one, *quick, "--jobs", "2"), 2),
         Command("coverage --jobs 2", ("coverage", "--campaigns", "80", *few, "--jobs", "2"), 2),
@@ -96,7 +113,7 @@ def commands(place: Path) -> list[Command]:
 
 def prepare(place: Path) -> None:
     """Small campaigns, settings and a list with one campaign that is not there."""
-    small = ["--experiments", "1,4,6", "--duration", "15 s", "--interval", "10 ms"]
+    small = ["--experiments", "1,6", "--duration", "12 s", "--interval", "20 ms"]
     noise = ["--sigma0", "5 mV", "--sigma1", "3 mV"]
     effect = ["--effect", "valve_asymmetry=0.2"]
     for name, more in (("a", ["--tau", "150 ms"]), ("b", ["--tau", "80 ms"]), ("effect", effect)):
@@ -105,6 +122,10 @@ def prepare(place: Path) -> None:
             assert done.returncode == 0, done.stderr
     (place / "quick.toml").write_text(SETTINGS)
     (place / "list.txt").write_text("a\nb/campaign.toml\nmissing/campaign.toml\n")
+    if not (place / "analysed" / "report.html").is_file():
+        options = ["--config", str(place / "quick.toml"), "--out", str(place / "analysed")]
+        done = call("analyze", str(place / "a" / "campaign.toml"), *options, "--quiet")
+        assert done.returncode in (0, 3), done.stderr
 
 
 # --------------------------------------------------------------------------- processes
@@ -221,12 +242,12 @@ def killed(command: Command, place: Path, tell: Callable[[], None]) -> dict[str,
     out, whole, errors = place / "out", place / "whole", place / "stderr.txt"
     shutil.rmtree(whole, ignore_errors=True)
     spans = []
-    arguments = (*command.arguments, "--out", str(out), "--quiet")
+    arguments = command.on(out)
     for _ in range(2):  # the first compiles what is not in the cache, the second tells the time
-        shutil.rmtree(out, ignore_errors=True)
+        command.begin(out)
         begin = time.perf_counter()
         expected, said = to_the_end(errors, *arguments)
-        if not out.exists():
+        if not (out / "run.json").exists():
             raise RuntimeError(f"{command.name}, undisturbed, left nothing: {said}")
         spans.append(time.perf_counter() - begin)
         if not whole.exists():
@@ -236,7 +257,7 @@ def killed(command: Command, place: Path, tell: Callable[[], None]) -> dict[str,
     rng = np.random.default_rng([SEED, len(command.name), command.kills])
     survived = n = half = started = 0
     while n < command.kills:
-        shutil.rmtree(out, ignore_errors=True)
+        command.begin(out)
         process = fork(errors, *arguments)
         time.sleep(float(rng.uniform(0.02, 0.98)) * spans[1])
         if process.ended():  # it was quicker than the one that told the time
@@ -434,6 +455,108 @@ def worker_killed(command: Command, place: Path, n: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@contextmanager
+def cluster(place: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Address of a Dask scheduler, and the processes: the scheduler, then its workers."""
+    file = place / "scheduler.json"
+    file.unlink(missing_ok=True)
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    parts = [
+        ["dask_scheduler", *common, "--port", "0"],
+        *[["dask_worker", *common, "--nthreads", "1", "--no-nanny"] for _ in range(workers)],
+    ]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{name}", *options],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment(),
+        )
+        for name, *options in parts
+    ]  # fmt: skip
+    try:
+        while not file.exists():
+            time.sleep(0.1)
+        yield str(json.loads(file.read_text())["address"]), processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def dask_dies(command: Command, place: Path, which: str, n: int) -> dict[str, Any]:
+    """A Dask worker or the scheduler killed in the middle: gone on, or resumed to the same."""
+    out, errors = place / "out", place / "stderr.txt"
+    command.begin(out)
+    to_the_end(errors, *command.on(out))
+    reference = state(out)
+    rng = np.random.default_rng([SEED, n])
+    good, said, seconds = 0, "", []
+    for _ in range(n):
+        command.begin(out)
+        with cluster(place, 2) as (address, processes):
+            with start(*command.on(out), "--scheduler", address) as process:
+                while not any(out.rglob("*.npz")) and process.poll() is None:
+                    time.sleep(0.05)
+                time.sleep(float(rng.uniform(0.0, 1.0)))
+                begin = time.perf_counter()
+                processes[-1 if which == "worker" else 0].kill()
+                _, stderr = process.communicate()
+                seconds.append(time.perf_counter() - begin)
+        if which == "worker":
+            ok = process.returncode in (0, 3) and "ended unexpectedly" in stderr
+        else:
+            ok = one_message(subprocess.CompletedProcess([], process.returncode, "", stderr))
+            to_the_end(errors, *command.on(out), "--resume")
+        same = state(out) == reference
+        good += ok and same
+        if not (ok and same):
+            said = stderr.strip()[-200:] if not ok else "other results"
+        elif not said:
+            said = stderr.strip().splitlines()[-1][-200:]
+    checked = {
+        "worker": "goes on and says so; results bit for bit",
+        "scheduler": "exit 2, one line on stderr; --resume without Dask: results bit for bit",
+    }[which]
+    return {
+        "fault": f"the Dask {which} killed", "command": command.name, "trials": n,
+        "survived": good, "checked": checked, "note": re.sub(r"tcp://[\d.:]+", "tcp://..", said),
+    }  # fmt: skip
+
+
+def many_diagnoses(place: Path, n: int) -> dict[str, Any]:
+    """The same diagnosis again and again in one process: memory and open files afterwards."""
+    code = (
+        "import gc, json, os, sys\n"
+        "import bayes_sensor as bs\n"
+        "campaign = bs.read_campaign(sys.argv[1])\n"
+        "def open_files(): return len(os.listdir('/proc/self/fd'))\n"
+        "def megabytes():\n"
+        "    gc.collect()\n"
+        "    pages = int(open('/proc/self/statm').read().split()[1])\n"
+        "    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6\n"
+        "seen = []\n"
+        "for i in range(int(sys.argv[2])):\n"
+        "    fit = bs.fit_least_squares(campaign, seed=1, euler=False, swarms=1)\n"
+        "    bs.diagnose_gap(campaign, fit, seed=1, bootstrap=0, separate=False, follow=False)\n"
+        "    seen.append((megabytes(), open_files()))\n"
+        "print(json.dumps(seen))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(place / "effect" / "campaign.toml"), str(n)],
+        capture_output=True, text=True, env=environment(), check=True,
+    )  # fmt: skip
+    seen = json.loads(done.stdout)
+    early = seen[n // 10]
+    grown, files = seen[-1][0] - early[0], seen[-1][1] - early[1]
+    return {
+        "fault": f"{n} diagnoses in one process", "command": "gap", "trials": n,
+        "survived": n if files == 0 and grown < 0.02 * early[0] else 0,
+        "checked": f"from diagnosis {n // 10 + 1} on memory grows by less than 2 %, and no file "
+        "stays open",
+        "note": f"{early[0]:.0f} MB, {grown:+.1f} MB at the end; {seen[-1][1]} open files, "
+        f"{files:+d}",
+    }  # fmt: skip
+
+
 def write(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     """The table."""
     table = pd.DataFrame(rows)
@@ -467,7 +590,7 @@ def run(
             kept.write_text(json.dumps(rows))
             write([row for row in rows.values() if row is not None])
 
-    first = [c for c in every if c.kills][:5]
+    first = [c for c in every if c.kills][:8]
     for c in first:
         keep(f"killed {c.name}", lambda c=c: killed(c, place, tell))
     for name in ("posterior", "analyze", "coverage", "fleet"):
@@ -475,6 +598,10 @@ def run(
         keep(f"read-only {name}", lambda c=named[name]: read_only(c, place))
     for name in ("posterior", "fleet"):
         keep(f"in use {name}", lambda c=named[name]: in_use(c, place))
+    keep("diagnoses", lambda: many_diagnoses(place, 100))
+    for which in ("worker", "scheduler"):
+        for name in ("coverage", "fleet"):
+            keep(f"dask {which} {name}", lambda c=named[name], w=which: dask_dies(c, place, w, 3))
     for name in INTERRUPTED:
         keep(f"ctrl-c {name}", lambda c=named[name]: interrupted(c, place, 8))
     for name in ("posterior --jobs 2", "coverage --jobs 2", "fleet --jobs 2"):

@@ -207,7 +207,7 @@ def test_a_broken_folder_is_refused(result: Analysis, place: Path, tmp_path: Pat
         refused("expected saved fit|expected a saved fit")
     (tmp_path / "r" / "fit_record.npz").write_bytes(content)
     (tmp_path / "r" / "run.json").write_text('{"last": "analyze", "commands": []}')
-    refused(r"run.json: expected the record of a run")
+    refused(r"run.json: expected the content of run.json")
     (tmp_path / "r" / "run.json").write_bytes((place / "call" / "run.json").read_bytes())
     (tmp_path / "r" / "gap_record.npz").unlink()
     assert bs.load(tmp_path / "r").gap is None

@@ -687,7 +687,7 @@ def test_a_small_blind_check_from_the_command_line(
     assert (out / "report.html").read_text(encoding="utf-8") == page
     (out / "cases.csv").write_text("case,kind\ncase-0001,null\n")
     assert exit_code(["report", str(out)]) == 2
-    assert "cases.csv: expected the cases of a blind check" in capsys.readouterr().err
+    assert "cases.csv: expected the content of cases.csv" in capsys.readouterr().err
     # strong causes that are listed stand out against nothing at all
     strong = [r["p_none"] for r in rows if r["kind"] == "listed" and r["d"] > 12]
     assert strong and max(strong) < 0.5

@@ -135,7 +135,7 @@ WRONG_TRUTHS = [
     ('"tau_s": 0', "tau_s: expected something like 0.048"),
     ('"d": "big"', r'd: expected something like 8.0 \(standard deviations of the noise\).*"big"'),
     ('"d": true', "d: expected something like 8.0"),
-    ('"d": NaN', "d: expected something like 8.0"),
+    ('"d": NaN', "cannot be read"),
     ('"acts": ["fall"]', r'acts: expected something like \[{"experiment": "1".* got \["fall"\]'),
     ('"acts": [{"experiment": "1", "phase": "decay", "share": 1}]', "phases: baseline, onset"),
     ('"acts": [{"experiment": "77", "phase": "fall", "share": 1}]',

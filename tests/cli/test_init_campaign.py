@@ -47,6 +47,10 @@ def test_three_exports_become_a_campaign_that_is_checked_and_drawn(
     assert run("check", path, "--plot") == 0
     assert f"drawn: {folder / 'check.png'}" in capsys.readouterr().out
     assert imread(folder / "check.png").shape[0] > 500
+    assert run("check", path, "--plot", "--quiet") == 0
+    (folder / "check.png").write_bytes(b"a photograph")
+    assert run("check", path, "--plot", "--quiet") == 2
+    assert (folder / "check.png").read_bytes() == b"a photograph"
 
 
 def test_what_is_there_is_replaced_only_when_told(

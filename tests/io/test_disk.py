@@ -18,7 +18,8 @@ from bayes_sensor.cli import exit_code
 from bayes_sensor.fit.samples import save_samples
 from bayes_sensor.fit.traces import save_traces
 from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
-from bayes_sensor.io.json_files import write_json
+from bayes_sensor.io.json_files import read_json, write_json
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
 from bayes_sensor.likelihood.mesh.node_sums import one_process
@@ -80,21 +81,27 @@ def test_only_results_that_a_run_makes_void_are_removed(
     with Results(out).locked():
         pass
     assert whole(outside) and (out / "notes.txt").read_text() == "mine"
-    assert Results(out).json("fit.json") == "new"
+    assert read_json(out / "fit.json") == "new"
     assert not [p for p in out.iterdir() if p.name.startswith(".")]
 
 
 def test_results_that_are_void_are_removed_and_links_of_their_names_not_followed(
     out: Path, outside: Path
 ) -> None:
-    for name in VOID[2:]:
-        (out / name).write_text("old")
+    (out / ".complete").rename(out.parent / "later")
+    with Results(out).writing() as stage:
+        for name in VOID[2:-1]:
+            stage.text(name, "old")
+        put_run(stage, "fit", Clock(), seed=1, settings={})
+    (out / VOID[-1]).write_text("mine")  # no run wrote it
+    (out.parent / "later").rename(out / ".complete")
     (out / VOID[0]).symlink_to(outside / "thesis.tex")
     (out / VOID[1]).mkdir()  # no result
     (out / ".complete" / ".drop.json").write_text(json.dumps(VOID))
     with Results(out).locked():
         pass
-    assert whole(outside) and sorted(p.name for p in out.iterdir()) == ["fit.json", VOID[1]]
+    kept = sorted(["fit.json", "run.json", VOID[0], VOID[1], VOID[-1]])
+    assert whole(outside) and sorted(p.name for p in out.iterdir()) == kept
 
 
 def test_a_run_that_would_remove_or_replace_anything_else_is_a_mistake(tmp_path: Path) -> None:
@@ -134,7 +141,7 @@ def test_what_no_run_makes_is_not_moved(out: Path) -> None:
     with Results(out).locked():
         assert json.loads((out / ".lock").read_text())["pid"] == os.getpid()
     assert [p.name for p in (out / "thesis").iterdir()] == ["out"]
-    assert Results(out).json("fit.json") == "new"
+    assert read_json(out / "fit.json") == "new"
     assert sorted(p.name for p in out.iterdir()) == ["fit.json", "thesis"]
 
 
@@ -146,13 +153,23 @@ def test_a_link_in_place_of_a_folder_of_ours_is_not_followed(
     out = tmp_path / "out"
     out.mkdir()
     (out / name).symlink_to(tmp_path / leads)
-    for text in ("old", "new"):
+
+    def save(text: str) -> None:
         with Results(out).locked(), Results(out).writing() as stage:
             stage.json("fit.json", text)
             stage.path("figures").mkdir()
             (stage.path("figures") / f"{text}.svg").write_text(text)
+            put_run(stage, "fit", Clock(), seed=1, settings={})
+
+    if name == "figures":  # somebody's own
+        with pytest.raises(CampaignError, match="figures that no run wrote"):
+            save("old")
+        assert (out / name).is_symlink() and whole(outside)
+        return
+    save("old")
+    save("new")
     assert whole(outside) and not (tmp_path / "nowhere").exists()
-    assert Results(out).json("fit.json") == "new"
+    assert read_json(out / "fit.json") == "new"
     assert not (out / "figures").is_symlink()
     assert [p.name for p in (out / "figures").iterdir()] == ["new.svg"]
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit.traces import BINS_WHOLE, envelope, load_traces, make_traces, save_traces
 from bayes_sensor.io.json_files import plain, read_json, write_json
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results, Stage
 from bayes_sensor.io.run_record import run_record
 from bayes_sensor.rig.layout import Layout
@@ -53,16 +54,75 @@ def test_results_are_replaced_together_or_not_at_all(tmp_path: Path) -> None:
         stage.json("fit.json", {"n": 1})
         stage.path("figures").mkdir()
         (stage.path("figures") / "a.svg").write_text("old")
+        put_run(stage, "fit", Clock(), seed=1, settings={})
     with pytest.raises(TypeError, match="no place in JSON"), results.writing() as stage:
         _half(stage)
-    assert results.json("fit.json") == {"n": 1}
+    assert read_json(tmp_path / "out" / "fit.json") == {"n": 1}
     with results.writing() as stage:
         stage.json("fit.json", {"n": 3})
         stage.path("figures").mkdir()
         (stage.path("figures") / "b.svg").write_text("new")
-    assert results.json("fit.json") == {"n": 3}
+    assert read_json(tmp_path / "out" / "fit.json") == {"n": 3}
     assert sorted(p.name for p in results.path("figures").iterdir()) == ["b.svg"]
-    assert sorted(p.name for p in results.folder.iterdir()) == ["figures", "fit.json"]
+    assert sorted(p.name for p in results.folder.iterdir()) == ["figures", "fit.json", "run.json"]
+
+
+OTHERS = ("written by hand", "changed since", "a link", "a folder", "inside")
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_what_no_run_wrote_is_neither_replaced_nor_removed(tmp_path: Path, kind: str) -> None:
+    results, outside = Results(tmp_path / "out"), tmp_path / "thesis.tex"
+    outside.write_text("mine")
+
+    def save() -> None:
+        with results.locked(), results.writing() as stage:
+            stage.json("fit.json", {"n": 1})
+            stage.path("figures").mkdir()
+            (stage.path("figures") / "a.svg").write_text("ours")
+            stage.drop.append("gap.json")
+            put_run(stage, "fit", Clock(), seed=1, settings={})
+
+    with results.writing() as stage:
+        stage.json("gap.json", "ours" if kind == "inside" else "")
+        put_run(stage, "gap", Clock(), seed=1, settings={})
+    path = results.path("fit.json")
+    if kind != "written by hand":
+        save()
+        assert not results.has("gap.json")
+    if kind == "inside":
+        path = results.path("figures") / "photo.png"
+    elif kind != "written by hand":
+        path.unlink()
+    if kind == "a link":
+        path.symlink_to(outside)
+    elif kind == "a folder":
+        path.mkdir()
+        (path / "deep.txt").write_text("mine")
+    else:
+        path.write_text("mine")
+    before = (path / "deep.txt" if kind == "a folder" else path).read_text()
+    with pytest.raises(CampaignError, match=r"that no run wrote, or that was changed since"):
+        save()
+    steps = ("fit", "report")
+    with pytest.raises(CampaignError, match="choose another"), results.locked(steps=steps):
+        pass
+    assert (path / "deep.txt" if kind == "a folder" else path).read_text() == before == "mine"
+    assert not [p.name for p in results.folder.iterdir() if p.name.startswith(".")]
+
+
+def test_unfinished_parts_are_cleared_and_nothing_else(tmp_path: Path) -> None:
+    results, parts = Results(tmp_path), tmp_path / "checkpoint" / "sealing"
+    mine = tmp_path / "checkpoint" / "model.pt"
+    parts.mkdir(parents=True)
+    for name in ("study.json", "chunk-000000-000004.npz", ".chunk-x.part"):
+        (parts / name).write_text("")
+    mine.write_text("mine")
+    results.clear("checkpoint")
+    assert [p.name for p in mine.parent.iterdir()] == ["model.pt"]
+    mine.unlink()
+    results.clear("checkpoint")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_a_killed_run_left_on_its_stage_is_cleared(tmp_path: Path) -> None:

@@ -793,4 +793,4 @@ def test_an_ensemble_that_cannot_get_there_is_given_up_after_500_steps() -> None
 def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:
     (tmp_path / ".ensemble-0-00000.npz.tmp").write_bytes(b"half")
     Checkpoint(tmp_path, "digest", resume=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.json"]

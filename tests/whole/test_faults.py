@@ -19,6 +19,8 @@ from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.interruption import advice
 from bayes_sensor.io import folder_lock
 from bayes_sensor.io.folder_lock import Lock
+from bayes_sensor.io.json_files import read_json
+from bayes_sensor.io.put_run import Clock, put_run
 from bayes_sensor.io.results import Results
 
 QUICK = """
@@ -105,14 +107,16 @@ def test_results_are_old_or_new_wherever_the_run_ends(
 
     def save(text: str) -> None:
         with folder.locked(), folder.writing() as stage:
-            for name in ("a.json", "b.json", "run.json"):
+            for name in ("a.json", "b.json"):
                 stage.json(name, text)
+            put_run(stage, text, Clock(), seed=1, settings={})
             stage.path("figures").mkdir()
             (stage.path("figures") / f"{text}.svg").write_text(text)
             stage.drop.append("gap.json")
 
     save("old")
-    (folder.folder / "gap.json").write_text('"old"')
+    with folder.writing() as stage:
+        stage.json("gap.json", "old")
     replace, done = os.replace, 0
 
     def stops(source: Any, target: Any) -> None:
@@ -131,10 +135,13 @@ def test_results_are_old_or_new_wherever_the_run_ends(
             pass
     with folder.locked():  # whoever comes next
         pass
-    found = {n: folder.json(n) for n in ("a.json", "b.json", "run.json", "gap.json")}
+    names = [name for name in ("a.json", "b.json", "gap.json") if folder.has(name)]
+    found = {name: read_json(folder.path(name)) for name in names}
+    found["run.json"] = folder.json("run.json")["last"]
     expected = "old" if moves == 0 else "new"  # the first move makes the stage complete
-    assert found == {"a.json": expected, "b.json": expected, "run.json": expected,
-                     "gap.json": "old" if moves == 0 else None}  # fmt: skip
+    kept = {"gap.json": "old"} if moves == 0 else {}
+    assert found == {"a.json": expected, "b.json": expected, "run.json": expected, **kept}
+    assert {*folder.written()} == {*found, f"figures/{expected}.svg"} - {"run.json"}
     assert [p.name for p in folder.path("figures").iterdir()] == [f"{expected}.svg"]
     assert not [p.name for p in folder.folder.iterdir() if p.name.startswith(".")]
 
@@ -154,7 +161,7 @@ def test_no_room_is_one_message_and_leaves_what_was(
 ) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    (out / "fit.json").write_text('"earlier"')
+    (out / "mine.json").write_text('"earlier"')
     write, calls = Path.write_text, 0
 
     def full(self: Path, *arguments: Any, **more: Any) -> int:
@@ -172,7 +179,7 @@ def test_no_room_is_one_message_and_leaves_what_was(
     said = capsys.readouterr()
     assert said.err.count("\n") == 1 and os.strerror(code) in said.err and said.out == ""
     assert "check the free space and the permissions" in said.err
-    assert [(p.name, p.read_text()) for p in out.iterdir()] == [("fit.json", '"earlier"')]
+    assert [(p.name, p.read_text()) for p in out.iterdir()] == [("mine.json", '"earlier"')]
 
 
 @pytest.fixture

@@ -5,11 +5,16 @@ Seconds, volts and mL/s throughout.  All records turn into plain JSON and back.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from bayes_sensor.campaign import CampaignError
+
+MOST_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -173,10 +178,17 @@ class Case:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Case:
-        """The record that :meth:`to_json` wrote."""
-        values = dict(content)
-        law = dict(values["noise"])
-        law["components"] = tuple(Component(**part) for part in law["components"])
-        values["noise"] = NoiseLaw(**law)
-        values["steps"] = tuple(Step(**step) for step in values["steps"])
-        return cls(**values)
+        """The record that :meth:`to_json` wrote; CampaignError for anything else."""
+        try:
+            case = TypeAdapter(cls).validate_json(json.dumps(content, allow_nan=False), strict=True)
+            n = sum(step.n_samples for step in case.steps)
+        except (ValidationError, ArithmeticError, TypeError, ValueError) as error:
+            raise CampaignError(
+                "recipe: expected that of a simulated campaign, but got another "
+                f"({' '.join(str(error).split())[:160]}); draw the cases again"
+            ) from None
+        if not 0 < n <= MOST_SAMPLES:
+            raise CampaignError(
+                f"recipe: expected at most {MOST_SAMPLES} samples, but got {n}; draw cases again"
+            )
+        return case

@@ -141,17 +141,23 @@ def run_emcee(given: Target) -> Run:
         points = _start(target, given.laplace, n_walkers, rng, _of_chain(begin, j))
         begins.append((points, None, np.random.RandomState(rng.integers(2**32)).get_state()))
     target.cover(np.concatenate([begin[0] for begin in begins]))
-    saved = [store.read(j) for j in range(settings.n_chains)]
+
+    def steps_of(i: int) -> int:
+        # short chunks at first: the mesh follows the walkers while they settle
+        settles = begin is None and i < settings.burn_in // SETTLING
+        return SETTLING if settles else settings.chunk
+
+    saved = [
+        store.read(j, lambda i: (steps_of(i), n_walkers, n_dim)) for j in range(settings.n_chains)
+    ]
     chains: list[list[FloatArray]] = [[] for _ in saved]
     acceptance: list[list[float]] = [[] for _ in saved]
     states: list[Any] = list(begins)
     # who begins from draws of the posterior has nothing to settle, unless it turns out otherwise
     burn_in = settings.burn_in if begin is None else 0
     while True:
-        # short chunks at first: the mesh follows the walkers while they settle
         i = len(chains[0])
-        settles = begin is None and i < settings.burn_in // SETTLING
-        n_steps = SETTLING if settles else settings.chunk
+        n_steps = steps_of(i)
         # a resumed run takes the steps that it finds, sees the meshes and the looks at convergence
         # that the uninterrupted one saw, and so ends where that would have ended
         todo = [j for j, chunks in enumerate(saved) if i >= len(chunks)]

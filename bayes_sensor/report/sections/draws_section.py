@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_sensor import figures
 from bayes_sensor.report.parts import Shown, Table, to_spread
-from bayes_sensor.report.saved import Saved, read_chains
+from bayes_sensor.report.saved import Saved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,4 +46,6 @@ def posterior_table(saved: Saved, shared: bool) -> Table:
 
 def of_draws(make: Callable[..., Figure], draws: Path, unit: str) -> Figure:
     """The figure that ``make`` draws from saved draws of the posterior."""
-    return make(*read_chains(draws), unit=unit)
+    from bayes_sensor.posterior import load_chains  # slow to import
+
+    return make(*load_chains(draws), unit=unit)
