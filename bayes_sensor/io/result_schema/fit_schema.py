@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import AfterValidator, Field, StrictBool, with_config
 from typing_extensions import TypedDict
 
-from bayes_sensor.io.result_schema.basic import (
+from bayes_sensor.io.result_schema.schema_types import (
     Int,
     MaybeNum,
     MaybeNumbers,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, NotRequired
 from pydantic import AfterValidator, Field, StrictBool
 from typing_extensions import TypedDict
 
-from bayes_sensor.io.result_schema.basic import (
+from bayes_sensor.io.result_schema.schema_types import (
     Int,
     MaybeNum,
     MaybeNumbers,

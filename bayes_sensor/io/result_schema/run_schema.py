@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import AfterValidator, StrictBool
 from typing_extensions import TypedDict
 
-from bayes_sensor.io.result_schema.basic import (
+from bayes_sensor.io.result_schema.schema_types import (
     Hash,
     Int,
     MaybeNum,
