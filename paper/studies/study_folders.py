@@ -30,7 +30,9 @@ from tests.support.bad_folders import draw, try_case
 
 SEED, N = 63, 2000
 MORE_MEMORY = 1 << 30
-"""bytes of addresses that a command may take beyond what the libraries have"""
+"""bytes that a command may take beyond the peak of all before it"""
+ADDRESS_SPACE = 8 << 30
+"""bytes of addresses beyond those in use: libraries reserve more than they take"""
 QUICK = """\
 [fit]
 swarms = 1
@@ -158,7 +160,8 @@ class FoldersStudy:
         begin, message = time.process_time(), ""
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limits = resource.getrlimit(resource.RLIMIT_AS)
-        most = pages * resource.getpagesize() + MORE_MEMORY
+        most = pages * resource.getpagesize() + ADDRESS_SPACE
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         with tempfile.TemporaryDirectory() as scratch:
             resource.setrlimit(resource.RLIMIT_AS, (most, limits[1]))
             try:
@@ -168,6 +171,9 @@ class FoldersStudy:
                 message = f"{case.file}: {type(error).__name__}: {error}"
             finally:
                 resource.setrlimit(resource.RLIMIT_AS, limits)
+        more = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak)
+        if more > MORE_MEMORY:
+            outcome, message = "failed", f"{case.file}: it takes {more >> 20} MB"
         return {
             "outcome": OUTCOMES.index(outcome),
             "command": np.str_(case.command[:40].ljust(40)),
