@@ -243,7 +243,7 @@ def test_quick_without_a_posterior_says_so(
     monkeypatch.setitem(run_steps.TAKE, "fast", given_up)
     assert run(*arguments(place, tmp_path / "out", "--quick")) == 3
     said = capsys.readouterr()
-    assert "fast posterior (0.0 s of about 1 s): none: " in said.out
+    assert re.search(r"fast posterior \(0\.0 s of about \d+ s\): none: ", said.out)
     assert said.err.startswith("not converged: no fast posterior") and "--resume" in said.err
     assert (tmp_path / "out" / "fit.json").is_file()
 
