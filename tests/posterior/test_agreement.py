@@ -11,13 +11,16 @@ from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import (
     R_HAT_LIMIT,
+    SAMPLERS,
     Posterior,
     Settings,
+    Target,
     fast_posterior,
     sample_posterior,
 )
 from bayes_sensor.posterior.agreement import r_hat_between
 from bayes_sensor.posterior.laplace import Laplace, approximate
+from bayes_sensor.posterior.samplers.hmc import MOST_OUTSIDE
 from tests.support.campaigns import small_problem
 
 SETTINGS = Settings(n_chains=2)
@@ -137,3 +140,25 @@ def test_a_run_is_repeated_only_where_a_finer_mesh_helps(monkeypatch: pytest.Mon
     most = walkers * (settings.max_steps + settings.max_steps // settings.thin + 8 * 60)
     assert 0 < evaluated[False] < most
     assert evaluated[True] > 1.5 * evaluated[False]
+
+
+def test_hmc_off_the_mesh_ends_after_a_counted_number_of_evaluations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, theta = small_problem(sigma=0.05, n=1, interval=0.2, fall=False)
+    laplace, mesh = approximate(problem, theta)
+    slow = []
+    exact = Compressed.value_and_gradient
+
+    def counted(self: Compressed, vector: np.ndarray) -> Any:
+        slow.append(vector)
+        return exact(self, vector)
+
+    monkeypatch.setattr(Compressed, "covers", lambda self, vector: False)
+    monkeypatch.setattr(Compressed, "value_and_gradient", counted)
+    target = Target(
+        problem, theta, laplace, mesh, SETTINGS, 1, np.random.SeedSequence(1), lambda *_: None
+    )
+    run = SAMPLERS["hmc"].run(target)
+    assert not run.good and "leave the mesh" in run.reason and len(run.chains) == 0
+    assert 0 < len(slow) <= MOST_OUTSIDE

@@ -14,6 +14,8 @@ from bayes_sensor.posterior.widen_mesh import covered
 
 OUTSIDE = 8
 """points off the mesh after which it is widened"""
+MOST_OUTSIDE = 4 * OUTSIDE
+"""points off the mesh after which the sampler is given up: each costs ten thousand times another"""
 _State = tuple[FloatArray, float, FloatArray]  # position, log density, its gradient
 
 
@@ -34,6 +36,7 @@ class Whitened:
         self.pair = list(problem.commuting.places)
         self.folds = problem.flow is None and len(self.pair) == 2 and not problem.held
         self.outside: list[FloatArray] = []
+        self.n_outside = 0
         thetas, _ = laplace.draw(2000, np.random.default_rng(12345))
         roots = self._roots(thetas)
         self.pinned = self.coordinates.theta(np.zeros(roots.shape[1]))
@@ -41,6 +44,11 @@ class Whitened:
         self.factor = np.linalg.cholesky(
             np.cov(roots.T) + 1e-12 * np.diag(roots.var(axis=0) + 1e-300)
         ) * self.coordinates.signs(laplace.theta)
+
+    @property
+    def lost(self) -> bool:
+        """Whether chains leave the mesh again and again; the density is no longer right there."""
+        return self.n_outside > MOST_OUTSIDE
 
     def _roots(self, thetas: FloatArray) -> FloatArray:
         psi = self.coordinates.psi(thetas)
@@ -82,6 +90,9 @@ class Whitened:
             return -np.inf, np.zeros_like(q)
         if not self.compressed.covers(theta):
             # full passes with difference quotients cost ten thousand times a mesh's gradient
+            self.n_outside += 1
+            if self.lost:
+                return -np.inf, np.zeros_like(q)
             self.outside.append(theta)
             if len(self.outside) == OUTSIDE:
                 self.compressed = covered(self.compressed, np.array(self.outside))
@@ -109,6 +120,10 @@ def run_hmc(given: Target) -> Run:
     laplace, settings = given.laplace, given.settings
     target = Whitened(laplace, given.compressed)
     rngs = [np.random.default_rng(s) for s in given.streams.spawn(settings.n_chains)]
+    given_up = Run(
+        np.empty((0, 0, 0)), False,
+        "Hamiltonian Monte Carlo was given up: its chains leave the mesh again and again", 0.0,
+    )  # fmt: skip
     states, sizes = [], []
     for rng in rngs:
         thetas, _ = laplace.draw(1, rng)
@@ -128,6 +143,8 @@ def run_hmc(given: Target) -> Run:
             log_size = min(max(log_size, -8.0), -0.4)
             weight = i**-0.75
             average = weight * log_size + (1 - weight) * average
+        if target.lost:
+            return given_up
         states.append(state)
         sizes.append(np.exp(average))
     n_psi = len(laplace.mean)
@@ -146,6 +163,8 @@ def run_hmc(given: Target) -> Run:
             given.report(
                 min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC"
             )
+        if target.lost:
+            return given_up
         stacked = target.theta(np.stack(chains))
         done, found = enough(given.problem, stacked, settings.target_ess)
         n, most = len(chains[0]), settings.max_draws // 2
