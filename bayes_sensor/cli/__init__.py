@@ -112,11 +112,24 @@ def exit_code(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except OSError as error:  # disk full, no permission: everything else is a mistake of ours
+        if not _has_working_directory():
+            return _complain(
+                "the working directory: it has been removed; expected a folder that exists: change "
+                "to another one"
+            )
         where = f"{error.filename}: " if error.filename else ""
         return _complain(
             f"{where}the results cannot be written ({error.strerror or error}); check the free "
             "space and the permissions of --out"
         )
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
 
 
 def _stop(arguments: list[str]) -> int:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from drawing import TABLES
+from real_files import write_table
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, FloatArray
@@ -188,10 +189,10 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
-    """Write recorders.csv, where the records are at hand."""
+    """Write recorders.csv and real_files.csv, where the records are at hand."""
     place = os.environ.get(WHERE)
     if not place:
-        print(f"{WHERE} is not set: recorders.csv stays as it is", flush=True)
+        print(f"{WHERE} is not set: recorders.csv and real_files.csv stay", flush=True)
         return
     rows = []
     whole = [*RECORDS, *alone()]
@@ -200,3 +201,7 @@ def run(
         progress(k + 1, len(whole))
         table = pd.DataFrame(rows)
     table.to_csv(TABLES / "recorders.csv", index=False, float_format="%.4g")
+    known: dict[str, str] = {}
+    for record in RECORDS:
+        known.setdefault(record.file, record.toml)
+    write_table(Path(place), known)

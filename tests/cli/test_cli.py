@@ -566,6 +566,22 @@ def test_a_console_that_lacks_a_letter_shows_its_number(encoding: str, shown: st
     assert done.stderr == b"error: \\u03c4\\ufffd[2J\n"  # no code reaches the terminal
 
 
+def test_a_working_directory_that_is_gone_is_named(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    code = (
+        "import os\n"
+        "from bayes_sensor import cli\n"
+        f"os.chdir({str(tmp_path / 'gone')!r})\n"
+        f"os.rmdir({str(tmp_path / 'gone')!r})\n"
+        "def app(**_):\n    os.path.abspath('campaign.toml')\n"
+        "cli.app = app\n"
+        "cli.main(['check', 'campaign.toml'])\n"
+    )
+    done = run_code(code)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("error: the working directory: it has been removed")
+
+
 @pytest.mark.parametrize(
     ("name", "code", "word"), [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]
 )
