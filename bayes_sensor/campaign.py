@@ -228,7 +228,12 @@ class Campaign:
 
     @property
     def same_flow(self) -> bool:
-        """Whether all experiments share one total flow: then tau_v and V cannot be told apart."""
+        """Whether all experiments share one total flow: then tau_v and V cannot be told apart.
+
+        Flows that are not given do not differ.
+        """
+        if not self.flows_known:
+            return True
         flows = np.array([experiment.total_flow for experiment in self.experiments])
         return bool(np.ptp(flows) <= 1e-6 * flows.max())
 

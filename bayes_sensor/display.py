@@ -24,6 +24,10 @@ FEW = 8
 """entries of a field that are listed in a card"""
 
 
+SECONDS = 5.0
+"""s, from where the diagnosis gives time constants in s in place of ms"""
+
+
 def shown(value: object, digits: int = 4) -> str:
     """A cell's text: numbers with ``digits`` significant digits, what does not exist as a dash.
 

@@ -85,6 +85,11 @@ def known_objects(part: str, campaign: Campaign) -> dict[str, Any]:
         from bayes_sensor.diagnosis.signals import SIGNALS
 
         known |= {f"effect {name}": effect for name, effect in CATALOGUE.items()}
+        # of an effect that a rig has in some of its forms, or under other words, these are the same
+        for name, effect in CATALOGUE.items():
+            known |= {f"form {i} of {name}": form for i, form in enumerate(effect.forms)}
+            if effect.on_noise is not None:
+                known[f"noise of {name}"] = effect.on_noise
         known |= {f"signal {signal.name}": signal for signal in SIGNALS}
     return known
 

@@ -23,7 +23,6 @@ from scipy.special import logsumexp
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.closed_fraction import VISIBLE, Closure, HeldOut
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.effects.effect import Effect
 from bayes_sensor.diagnosis.evidence.block_least_squares import inverted, solved
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
@@ -87,7 +86,7 @@ def draw_remaining_misfit(
     sizes = np.concatenate(drawn)
     rough = fitted.misfit - fitted.leverage.trace() - chance * float(np.mean(sizes))
     n = len(fitted.residual)
-    spread = np.sqrt(2.0 * n + 2.0 * n**2 / DOF)
+    spread = np.sqrt(2.0 * n + 2.0 * n**2 / fitted.coords.binned.floor.level_dof)
     if rough < VISIBLE * spread:
         return chance, sizes
     sizes[rng.random(len(sizes)) > chance] = 0.0
@@ -99,7 +98,7 @@ def _squared_sizes(
 ) -> FloatArray:
     # (n,) draws of |P U a|^2: U a the discrepancy given the residual, the parameters integrated
     # out under their priors, and P what a refit without the discrepancy leaves of it
-    at_limit = int(fitted.x[0] <= 0.0)  # tau there: its own coordinate does not move
+    at_limit = int(fitted.coords.at_limit(fitted.x))  # tau there: its own coordinate does not move
     jacobian = fitted.jacobian[:, at_limit:]
     coords = fitted.coords
     prior = coords.own_prior_matrix[at_limit:, at_limit:]
@@ -205,7 +204,7 @@ def held_out(base: Refit, fitted: Refit, seed: int = 1) -> HeldOut | None:
     rng = np.random.default_rng(seed)
     # noise and an error of its floor are in both, so that they leave the difference alone, but for
     # the noise beside what the effect takes away; and either was predicted with some error
-    both = np.sqrt(2.0 * n + 2.0 * n**2 / DOF) * rng.standard_normal(DRAWS)
+    both = np.sqrt(2.0 * n + 2.0 * n**2 / binned.floor.level_dof) * rng.standard_normal(DRAWS)
     error = [rng.chisquare(1.0, (DRAWS, len(u))) @ u for u in map(np.concatenate, unsure)]
     taken = before - after
     taken = taken + 2.0 * np.sqrt(max(taken, 0.0)) * rng.standard_normal(DRAWS)
@@ -259,7 +258,7 @@ def _predicted(fitted: Refit, k: int, local: bool) -> _Prediction:
     first = refit(rise, start, most_steps=10, tolerance=0.2, free=free)
     covariance[n_shared:, n_shared:] = first.covariance[n_shared:, n_shared:]
     free[:] = False
-    free[n_shared + 3] = True  # tf
+    free[one.switches_of(0, falling=True)] = True
     fall = replace(coords, binned=alone.restricted([falling]))
     made = refit(fall, first.x, most_steps=10, tolerance=0.2, free=free)
     return _prediction(made, free, covariance)

@@ -16,6 +16,7 @@ from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.discrepancy_posterior import tau_with_discrepancy
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.effects_of_rig import Possible
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses
 from bayes_sensor.diagnosis.excess_shares import distribute_excess
@@ -28,12 +29,12 @@ from bayes_sensor.diagnosis.probabilities import combine
 from bayes_sensor.diagnosis.signals import look_for_signals
 from bayes_sensor.diagnosis.signals.effect_signatures import signatures
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
-from bayes_sensor.diagnosis.verdict import NAMED, Verdict, explanation_of, judge
+from bayes_sensor.diagnosis.verdict import NAMED, NAMED_ELSEWHERE, Verdict, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
-from bayes_sensor.rig.layout import NOISE, SHARED, Layout, Theta
+from bayes_sensor.rig.layout import NOISE, Layout, Theta
 from bayes_sensor.workers import one_thread
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 BOOTSTRAP = 60
 """simulated campaigns behind the calibrated p-values and the interval of the closed fraction"""
+MOST_SWITCHES = 60
+"""in a record: bins are made around each of them"""
 MOST_ROUNDS = 3
 """effects added one after the other before the search ends"""
 
@@ -49,13 +52,14 @@ Progress = Callable[[float, str], None]
 
 def cannot_diagnose(campaign: Campaign) -> str:
     """Why the diagnosis knows no effects for a campaign's rig; empty where it does."""
-    if Layout.of(campaign).is_published:
-        return ""
-    return (
-        "effects are known for a valve, a manifold and a sensor, one pulse a record and one sensor "
-        "only, but this campaign has another rig or programme; fit, posterior, bounds and report "
-        "serve it"
-    )
+    layout = Layout.of(campaign)
+    most = max(len(each.heights) for each in layout.switching)
+    if most > MOST_SWITCHES:
+        return (
+            f"a record has {most} switches, and at most {MOST_SWITCHES} are diagnosed; expected "
+            "fewer: take a part of the record (keep); fit, posterior, bounds and report serve all"
+        )
+    return ""
 
 
 @one_thread
@@ -124,6 +128,7 @@ def diagnose_gap(
     campaign = without_contradicted(Problem(campaign), fit.side_information).campaign
     prepared = prepare(campaign, _mean_of(campaign, fit), fit.naming)
     binned = prepared.binned
+    catalogue = Possible.of(campaign).effects(catalogue, binned.settings[0])
     if not binned.order_known:
         catalogue = {name: effect.nameless for name, effect in catalogue.items()}
     base = fit_base(binned)
@@ -135,7 +140,8 @@ def diagnose_gap(
     findings = look_for_signals(samples, catalogue)
     probabilities = combine(comparison, findings, catalogue)
     excess = with_findings(excess, findings)
-    judgement = judge(probabilities, excess.p_value)
+    least = NAMED if binned.chain is None else NAMED_ELSEWHERE
+    judgement = judge(probabilities, excess.p_value, least)
     best = explanation_of(comparison, judgement)
     excess = distribute_excess(excess, comparison, findings, judgement.kind)
 
@@ -214,15 +220,18 @@ def _mean_of(campaign: Campaign, fit: Fit) -> FloatArray:
     n = layout.n_mean
     mean = list(takewhile(lambda name: not name.startswith(NOISE), fit.names))
     # the lags' own names depend on what is known of them
-    if len(mean) != n or mean[len(SHARED) :] != layout.mean_names[len(SHARED) :]:
+    first = layout.n_shared
+    if len(mean) != n or mean[first:] != layout.mean_names[first:]:
         raise CampaignError(
             f"gap: the fit has the parameters {', '.join(fit.names[:4])}, .., the campaign needs "
             f"{', '.join(layout.mean_names[:4])}, ..; fit this campaign first"
         )
     theta = np.asarray(fit.theta_hat, dtype=float)[:n]
     if all(name.startswith(NOISE) for name in fit.names[n:]):  # with effects it fits otherwise
-        euler = Problem(campaign, model=Cascade("euler"))
-        check_data_of_fit(Problem(campaign), replace(fit, theta_hat=theta), euler)
+        both = [Problem(campaign)]
+        if layout.is_published:
+            both.append(Problem(campaign, model=Cascade("euler")))
+        check_data_of_fit(both[0], replace(fit, theta_hat=theta), *both[1:])
     return layout.flat(theta)
 
 

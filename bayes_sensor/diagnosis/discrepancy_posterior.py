@@ -27,6 +27,7 @@ from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy, make_discre
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.posterior.convergence import diagnose
+from bayes_sensor.rig.lags import Naming
 from bayes_sensor.rig.layout import Layout
 
 if TYPE_CHECKING:
@@ -72,14 +73,14 @@ def with_discrepancy(posterior: Posterior, fit: Fit, seed: int = 1) -> Posterior
     Raises
     ------
     CampaignError
-        Where all flows are equal, so that the manifold's lag cannot be told from the others and a
+        Where all flows are equal, so that a volume's lag cannot be told from the others and a
         discrepancy would move an unknown one, or where no record has a quiet stretch.
     """
     problem = posterior.problem
     if problem.flow is not None:
         raise CampaignError(
             "posterior --with-discrepancy: all experiments share one total flow, so that the "
-            "manifold's lag is one of three that have no names; expected two flows or more: record "
+            "volume's lag is one of several that have no names; expected two flows or more: record "
             "another flow, or use posterior without it"
         )
     layout = Layout.of(problem.campaign)
@@ -90,14 +91,18 @@ def with_discrepancy(posterior: Posterior, fit: Fit, seed: int = 1) -> Posterior
     n_chain, n_draw, n_theta = posterior.chains.shape
     steps = _steps(base, discrepancies, n_chain * n_draw, rng)
     draws = posterior.chains.reshape(-1, n_theta).copy()
-    # the first coordinate is how far the shorter lag's logarithm lies below the longer one's
-    steps[:, 0] = steps[:, 1] - steps[:, 0]
-    here = draws[:, : layout.n_mean]
-    here[:, :3] = np.log(here[:, :3])
+    if base.coords.binned.chain is None:
+        # the first coordinate is how far the shorter lag's logarithm lies below the longer one's
+        steps[:, 0] = steps[:, 1] - steps[:, 0]
+    else:
+        steps = _of_theta(steps, base, layout, fit.naming)
+    here, n_shared = draws[:, : layout.n_mean], layout.n_shared
+    here[:, :n_shared] = np.log(here[:, :n_shared])
     here -= steps
     here[:] = here.mean(axis=0) + calibration().tau_widening * (here - here.mean(axis=0))
-    here[:, :3] = np.exp(here[:, :3])
-    here[:, :2].sort(axis=1)  # lags by size
+    here[:, :n_shared] = np.exp(here[:, :n_shared])
+    by_size = list(problem.commuting.places)
+    here[:, by_size] = np.sort(here[:, by_size], axis=1)
     chains = draws.reshape(posterior.chains.shape)
     r_hat, bulk, tail = diagnose(problem, chains)
     return replace(
@@ -106,6 +111,25 @@ def with_discrepancy(posterior: Posterior, fit: Fit, seed: int = 1) -> Posterior
                  "a smooth discrepancy is in the model: the intervals hold what an unlisted cause "
                  "may do to the parameters"),
     )  # fmt: skip
+
+
+def _of_theta(steps: FloatArray, base: Refit, layout: Layout, naming: Naming) -> FloatArray:
+    """(n, n_mean) steps of theta, from those of the coordinates of a chain of stages.
+
+    In theta lags are by size, and several sensors of one record share its switches.
+    """
+    made, count = np.zeros((len(steps), layout.n_mean)), np.zeros(layout.n_mean)
+    choice = naming.exchanged
+    for i, name in enumerate(layout.shared_names):
+        place = None if choice is None else choice.place(name)
+        at = i if place is None else naming.commuting.places[place]
+        made[:, at], count[at] = steps[:, i], 1.0
+    for k in range(len(layout.experiments)):
+        places = layout.local[k][layout.local[k] >= 0]
+        first = base.coords.local[k]
+        made[:, places] += steps[:, first : first + len(places)]
+        count[places] += 1.0
+    return made / count
 
 
 def _steps(

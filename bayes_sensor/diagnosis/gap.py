@@ -15,7 +15,7 @@ from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.signals.signal import Finding
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.verdict import Verdict
-from bayes_sensor.display import card
+from bayes_sensor.display import SECONDS, card
 from bayes_sensor.io.json_files import plain
 
 if TYPE_CHECKING:
@@ -160,11 +160,13 @@ class Gap:
         v, s = self.verdict, self.shrink
         which = (" and " if v.kind == "effect" else " or ").join(v.effects)
         lag, key = ("shorter lag", "lag_fast") if s.lag_fast else ("tau", "tau")
-        before, after = (1e3 * s.to_json()[f"{key}_{when}_s"] for when in ("before", "after"))
+        taus = [s.to_json()[f"{key}_{when}_s"] for when in ("before", "after")]
+        unit, per_s = ("s", 1.0) if max(taus) > SECONDS else ("ms", 1e3)
+        before, after = (per_s * tau for tau in taus)
         return (
             f"Gap({v.kind} {which}".rstrip()
             + f", probability {v.probability:.2f}; d {self.budget['excess_d']:.1f}; "
-            f"{lag} {before:.4g} ms without, {after:.4g} ms with the best explanation)"
+            f"{lag} {before:.4g} {unit} without, {after:.4g} {unit} with the best explanation)"
         )
 
     def _repr_html_(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_sensor.display import shown
+from bayes_sensor.display import SECONDS, shown
 
 
 def how_far_lines(said: Mapping[str, Any]) -> list[str]:
@@ -44,6 +44,8 @@ def _share(shrink: Mapping[str, Any], key: str) -> str:
 def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
     shrink = said["shrink"]
     key, name = ("lag_fast", "shorter lag") if "lag_fast_before_s" in shrink else ("tau", "tau")
+    told = [value for k, value in shrink.items() if k.startswith(f"{key}_") and k.endswith("_s")]
+    unit, per_s = ("s", 1.0) if max(v for v in told if v) > SECONDS else ("ms", 1e3)
     each = []
     for when, words in (("before", "without an effect"), ("after", "with the explanations")):
         middle, low, high = (shrink.get(f"{key}_{when}{end}_s") for end in ("", "_lo", "_hi"))
@@ -51,10 +53,12 @@ def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
             continue
         span = ""
         if low is not None and high is not None:
-            span = f" (95 %: {shown(1e3 * low, 3)} to {shown(1e3 * high, 3)} ms)"
-        each.append(f"{shown(1e3 * middle, 3)} ms{span} {words}")
+            span = f" (95 %: {shown(per_s * low, 3)} to {shown(per_s * high, 3)} {unit})"
+        each.append(f"{shown(per_s * middle, 3)} {unit}{span} {words}")
     wide = said.get(f"{key}_with_discrepancy_s")
     if unlisted and wide is not None:
-        low, middle, high = (shown(1e3 * wide[q], 3) for q in ("q2.5", "q50", "q97.5"))
-        each[1:] = [f"{middle} ms (95 %: {low} to {high} ms) with a discrepancy in the model"]
+        low, middle, high = (shown(per_s * wide[q], 3) for q in ("q2.5", "q50", "q97.5"))
+        each[1:] = [
+            f"{middle} {unit} (95 %: {low} to {high} {unit}) with a discrepancy in the model"
+        ]
     return f"{name}: {', '.join(each)}"

@@ -15,11 +15,11 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.evidence.chain_coordinates import coordinates_of
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.coordinate_priors import Part
 from bayes_sensor.diagnosis.evidence.hypotheses import fit_effect
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.verdict import Judgement
 
@@ -49,9 +49,9 @@ def isolability(
     """Detectability left when ``truth``'s noise-free mean is refitted with ``rival``."""
     data = tuple(truth.coords.means(truth.x))
     # priors lie where the truth is, or its own distance from them would count against every rival
-    exact = replace(binned, data=data, centre=np.log([*truth.lags, truth.V]))
+    exact = replace(binned, data=data, centre=truth.coords.logarithms(truth.x))
     base = refit(
-        Coordinates(exact, tuple(given), loose=truth.coords.loose),
+        coordinates_of(exact, tuple(given), loose=truth.coords.loose),
         without_parts(truth, len(given)),
         most_steps=15,
     )
@@ -67,10 +67,9 @@ def without_parts(fitted: Refit, n_parts: int) -> FloatArray:
     coords = fitted.coords
     smaller = replace(coords, parts=coords.parts[:n_parts])
     x = np.zeros(smaller.size)
-    first = 3 + len(smaller.shared)
+    first = smaller.first_strength + len(smaller.shared)
     x[:first] = fitted.x[:first]
-    for k, e in enumerate(coords.binned.campaign):
-        m = 4 if e.has_fall else 3
+    for k, m in enumerate(coords.binned.own_sizes):
         n = m + len(smaller.own)
         x[smaller.local[k] : smaller.local[k] + n] = fitted.x[coords.local[k] : coords.local[k] + n]
     return x
@@ -139,11 +138,10 @@ def what_would_separate(
     effect = catalogue[rival]
     given = truth.coords.parts[:-1]
     now = isolability(binned, truth, effect, given)
-    tried = {
-        "V measured to 1 %": _known_volume(binned),
-        "four times as many repeats": _repeated(binned, 4),
-    }
-    if binned.campaign.same_flow:
+    tried = {"four times as many repeats": _repeated(binned, 4)}
+    if binned.chain is None:
+        tried = {"V measured to 1 %": _known_volume(binned), **tried}
+    if binned.chain is None and binned.campaign.same_flow:
         tried |= {
             f"the same steps at {f:g} times the flow": _second_flow(binned, f) for f in FLOW_FACTORS
         }

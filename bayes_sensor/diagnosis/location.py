@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.stats import f as f_law
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import FREE_SWITCHES, FloatArray
 from bayes_sensor.diagnosis.calibration import calibration
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.data.bins import PHASES
-from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.evidence.leverage import Leverage
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.signals.signal import Finding
@@ -101,7 +100,8 @@ def locate(
     whole = len(groups)
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal((binned.n_bins, DRAWS))
-    noise *= np.sqrt(DOF / rng.chisquare(DOF, DRAWS))
+    dof = binned.floor.level_dof
+    noise *= np.sqrt(dof / rng.chisquare(dof, DRAWS))
     left = leverage.leave(noise)
     z = base.residual
     excess, spread, ratios = [], [], []
@@ -132,14 +132,14 @@ def locate(
 
     trace = leverage.trace()
     total = base.misfit - trace
-    p_sum = float(f_law.sf(base.misfit / trace, trace, DOF))
+    p_sum = float(f_law.sf(base.misfit / trace, trace, dof))
     p_most = p_of(float(own[:whole].max()), largest)
     p_size = min(1.0, 2.0 * min(p_sum, p_most))
     p_form = None
     if len(along):
         most = float(np.max((along @ z) ** 2))
         # beyond the largest simulated value: Bonferroni's bound over all signatures
-        at_most = len(along) * float(f_law.sf(most / of_courses, 1, DOF))
+        at_most = len(along) * float(f_law.sf(most / of_courses, 1, dof))
         p_form = min(p_of(most, screened), at_most)
     p_value = p_size if p_form is None else min(1.0, 1.5 * p_size, 3.0 * p_form)
     clear = p_size < CLEAR
@@ -231,12 +231,17 @@ class CellPart:
 
 
 def parts_of_cells(binned: BinnedCampaign) -> list[CellPart]:
-    """All cells, then the time scales of each."""
+    """All cells, then the time scales of each.
+
+    A cell is one phase of one switch; of all switches together where a record has many.
+    """
     found = []
     for k, b in enumerate(binned.bins):
+        apart = len(b.switches) <= FREE_SWITCHES
+        switch = b.segment if apart else np.zeros_like(b.segment)
         for phase in range(len(PHASES)):
-            rows = np.flatnonzero(b.phase == phase) + binned.rows[k].start
-            if len(rows):
+            for j in np.unique(switch[b.phase == phase]):
+                rows = np.flatnonzero((b.phase == phase) & (switch == j)) + binned.rows[k].start
                 found.append(CellPart(k, phase, rows, np.eye(len(rows))))
     for cell in found.copy():
         k, phase, rows = cell.experiment, cell.phase, cell.rows
@@ -271,8 +276,9 @@ def _stretch(
     means = coords.means(base.x)
     cells, along = [], []
     blocks = [leverage.block(group.rows) for group in groups]
+    dof = binned.floor.level_dof
     for _ in range(bootstrap):
-        scale = np.sqrt(DOF / rng.chisquare(DOF))
+        scale = np.sqrt(dof / rng.chisquare(dof))
         data = [
             m + scale * c @ rng.standard_normal(len(m))
             for m, c in zip(means, binned.floor.cholesky, strict=True)
@@ -331,12 +337,11 @@ def predict_left_out(binned: BinnedCampaign, base: Refit) -> dict[str, float]:
         other = binned.restricted(rest)
         fitted = refit(replace(coords, binned=other), base.x, most_steps=10, tolerance=0.2)
         x = fitted.x
-        switch = {"onset": 2, "rise": 2, "fall": 3}.get(name)
-        if switch is not None:
+        if name in ("onset", "rise", "fall"):
             free = np.zeros(coords.size, dtype=bool)
-            for k, e in enumerate(binned.campaign):
-                if (switch == 2 or e.has_fall) and np.any(inside[k]):
-                    free[coords.local[k] + switch] = True
+            for k, mask in enumerate(inside):
+                if np.any(mask):
+                    free[coords.switches_of(k, name == "fall")] = True
             only = [m if np.any(m) else np.ones_like(m) for m in inside]
             start = x.copy()
             start[free] = base.x[free]

@@ -18,6 +18,8 @@ from bayes_sensor.diagnosis.probabilities import Probabilities
 NAMED = 0.9
 """probability from which an effect is named: one wrong name in ten at most, if the probabilities
 are right"""
+NAMED_ELSEWHERE = 0.95
+"""the same on other rigs and programmes than the calibration map was fitted to"""
 OFTEN = 0.2
 """p-value of the excess above which nothing is called unlisted: one in five campaigns without any
 cause leaves as much"""
@@ -50,12 +52,15 @@ class Judgement(NamedTuple):
     probability: float
 
 
-def judge(probabilities: Probabilities, p_value: float) -> Judgement:
-    """None, one or two effects, a family, or something unlisted; ``p_value`` of the excess."""
+def judge(probabilities: Probabilities, p_value: float, least: float = NAMED) -> Judgement:
+    """None, one or two effects, a family, or something unlisted; ``p_value`` of the excess.
+
+    ``least``: probability from which an effect is named.
+    """
     catalogue, rows = probabilities.catalogue, probabilities.rows
     named = max(rows, key=lambda row: rows[row])
     effects = Probabilities.members(named)
-    sure = min((_chance(n, probabilities) for n in effects), default=0.0) > NAMED
+    sure = min((_chance(n, probabilities) for n in effects), default=0.0) > least
     if sure and _nameable(effects, probabilities):
         families = {catalogue[n].family for n in effects}
         family = families.pop() if len(families) == 1 else None

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, floor, log
+from math import log
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_sensor.diagnosis.campaign_notes import notes_on
 from bayes_sensor.diagnosis.closed_fraction import Closure
-from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.effects_of_rig import OF_ANOTHER
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.form_mismatch import (
@@ -27,7 +28,7 @@ from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.signals import SIGNALS
 from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import NAMED, Judgement, of_one_family
-from bayes_sensor.display import shown
+from bayes_sensor.display import SECONDS, shown
 
 if TYPE_CHECKING:
     from bayes_sensor.campaign import Campaign
@@ -35,59 +36,10 @@ if TYPE_CHECKING:
 
 MOSTLY = 0.7
 """share of a family's probability from which its leading member is stated alone"""
-TELLING = 1.2
-"""times its usual size from which noise that is louder for a while is worth a note"""
 MANY_HELD = 0.25
 """share of the switch times at their bounds from which commands are in doubt"""
 WORTH_A_LOOK = log(2.0)
 """ln Bayes factor from which a finding is worth a note where nothing is said to be missing"""
-
-
-def notes_on(binned: BinnedCampaign) -> list[str]:
-    """Limits of the campaign, in sentences."""
-    campaign, spikes = binned.campaign, binned.floor.spikes
-    notes = []
-    if not any(e.has_fall for e in campaign):
-        notes.append(
-            "No step down was recorded: effects that differ between rise and fall cannot be seen."
-        )
-    if len(campaign) == 1:
-        notes.append(
-            "One experiment: nothing can be held out, and effects that depend on the flow look "
-            "like those that do not."
-        )
-    elif campaign.same_flow:
-        notes.append(
-            "All experiments share one total flow: valve and manifold cannot be told apart."
-        )
-    if any(e.commanded_on is None for e in campaign):
-        notes.append(
-            "Not every experiment has a commanded time: misfits locked to the command, not to the "
-            "response, are not looked for."
-        )
-    if spikes:
-        notes.append(f"{spikes} samples beyond 6.5 standard deviations were taken for spikes.")
-    spells = _louder_spells(binned)
-    if spells:
-        more = f" and {len(spells) - 3} more" if len(spells) > 3 else ""
-        notes.append(
-            f"Noise is louder for a while in experiment {', '.join(spells[:3])}{more}: what stands "
-            "out there counts less."
-        )
-    if binned.order_known:
-        than = "slower" if binned.sensor else "faster"
-        taken = (
-            f"The sensor is taken to be {than} than the valve: a cascade cannot tell them apart."
-        )
-    else:
-        taken = (
-            "Nobody knows which lag is the sensor's and which the valve's: effects of the valve "
-            "are tried on the longer one, effects of the sensor on the shorter one. Say in the "
-            "campaign which one is the sensor's (sensor_is), or give side information on tau or "
-            "tau_v."
-        )
-    notes.append(taken)
-    return notes
 
 
 def nearest_finding(found: Conclusion) -> list[str]:
@@ -126,6 +78,8 @@ def with_alternative(effect: Effect) -> str:
     name, other = effect.name, effect.exchanged
     if not other or effect.same_response != other:
         return name
+    if other == OF_ANOTHER:
+        return f"{name} if the {LAGS[effect.stage]} lag is the sensor's, or {other}"
     rival = next(stage for stage in LAGS if stage != effect.stage)
     return (
         f"{name} if the {LAGS[effect.stage]} lag is the {effect.stage}'s, or {other} if it is the "
@@ -152,7 +106,8 @@ def family_words(
         one = (first or named[0]) if leads else f"one of {names}"
         return f"No cause is likelier than not{place}; the likeliest is {one} ({sure})."
     if leads and other:
-        pair = first or f"{named[0]}, or {other}, whose response is the same"
+        alike = other if other == OF_ANOTHER else f"{other}, whose response is the same"
+        pair = first or f"{named[0]}, or {alike}"
         return f"{pair}, explains the gap{place} ({sure})."
     if leads and len(named) == 1:
         return (
@@ -164,18 +119,6 @@ def family_words(
     return (
         f"One of {names} explains the gap{place} ({sure}); this campaign does not tell them apart."
     )
-
-
-def _louder_spells(binned: BinnedCampaign) -> list[str]:
-    """Every experiment whose noise is louder for a while: when, and by how much."""
-    found = []
-    for b, times in zip(binned.bins, binned.floor.loudness, strict=True):
-        loud = times > TELLING
-        if np.any(loud):
-            begins, ends = b.edges
-            span = f"from {floor(begins[loud][0])} to {ceil(ends[loud][-1])} s"
-            found.append(f"{b.experiment.name} ({span} up to {times.max():.1f} times)")
-    return found
 
 
 LAGS = {"valve": "longer", "sensor": "shorter"}
@@ -319,7 +262,8 @@ def sentence(found: Conclusion) -> str:
 def _nothing(found: Conclusion) -> list[str]:
     """The sentence where nothing exceeds the noise floor."""
     probability = found.judgement.probability
-    low, high = (shown(1e3 * t, 2) for t in found.envelope)
+    unit, per_s = ("s", 1.0) if found.envelope[1] > SECONDS else ("ms", 1e3)
+    low, high = (shown(per_s * t, 2) for t in found.envelope)
     nothing = f"Nothing is missing that this campaign could show ({percent(probability)})."
     if probability < 0.5:
         nothing = (
@@ -329,7 +273,7 @@ def _nothing(found: Conclusion) -> list[str]:
     lag = "tau" if found.comparison.binned.order_known else "the shorter lag"
     return [
         f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
-        f"could lie anywhere from {low} to {high} ms."
+        f"could lie anywhere from {low} to {high} {unit}."
     ]
 
 

@@ -64,7 +64,8 @@ class Saved:
     def concentration(self) -> dict[str, float]:
         """Test-gas fraction by experiment."""
         return {
-            e["experiment"]: e["concentration_percent"] / 100 for e in self.campaign["experiments"]
+            e["experiment"]: (e["concentration_percent"] or 100.0) / 100  # 1 where no flow is known
+            for e in self.campaign["experiments"]
         }
 
     @property

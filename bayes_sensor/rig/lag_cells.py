@@ -219,3 +219,54 @@ def with_pocket(
         zs = advance(zs, slow * h[i], gs * a[i], gs * m[i], gs * b[i])
         pocket[i + 1] = (zf - zs) / (vf - vs)
         x2[i + 1] = zf - vf * pocket[i + 1]
+
+
+@compiled(inside=True)
+def passed(cells: Cells, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # what a lag makes of the cells, at their ends (n + 1,) and in their middles (n,)
+    n = len(rates)
+    states, mid = np.zeros(n + 1), np.zeros(n)
+    lag_states(cells, rates, states)
+    add_within(1.0, np.arange(n), 0.5 * cells.h, cells, rates, states, mid)
+    return states, mid
+
+
+@compiled(inside=True)
+def _swinging(cells: Cells, time: float, damping: float) -> tuple[FloatArray, FloatArray]:
+    # T^2 y'' + 2 z T y' + y = u at the ends (n + 1,) and in the middles (n,) of cells, exact; the
+    # damping z below 1, T the time; at rest before the first cell
+    h, a, m, b = cells
+    n = len(h)
+    sigma, omega = damping / time, sqrt(1.0 - damping * damping) / time
+    ends, mid = np.zeros(n + 1), np.zeros(n)
+    y, v = 0.0, 0.0
+    for i in range(n):
+        per = 1.0 / h[i]
+        rise, bend = 4.0 * m[i] - 3.0 * a[i] - b[i], 2.0 * a[i] - 4.0 * m[i] + 2.0 * b[i]
+        square = bend * per * per
+        slope = rise * per - 4.0 * damping * time * square
+        level = a[i] - 2.0 * damping * time * slope - 2.0 * time * time * square
+        cosine = y - level
+        sine = (v - slope + sigma * cosine) / omega
+        for half in range(2):
+            s = h[i] * (0.5 + 0.5 * half)
+            decay, c, d = np.exp(-sigma * s), np.cos(omega * s), np.sin(omega * s)
+            y = level + s * (slope + s * square) + decay * (cosine * c + sine * d)
+            v = slope + 2.0 * s * square
+            v += decay * ((omega * sine - sigma * cosine) * c - (omega * cosine + sigma * sine) * d)
+            if half == 0:
+                mid[i] = y
+        ends[i + 1] = y
+    return ends, mid
+
+
+@compiled(inside=True)
+def of_two_poles(cells: Cells, time: float, damping: float) -> tuple[FloatArray, FloatArray]:
+    # the same for any damping; above 1 it is two lags in a row
+    if damping < 1.0 - 1e-9:
+        return _swinging(cells, time, damping)
+    apart = sqrt(max(damping * damping - 1.0, 0.0))
+    n = len(cells.h)
+    states, mid = passed(cells, np.full(n, 1.0 / (time * (damping + apart))))
+    inner = Cells(cells.h, states[:-1], mid, states[1:])
+    return passed(inner, np.full(n, (damping + apart) / time))

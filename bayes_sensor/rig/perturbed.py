@@ -155,6 +155,10 @@ LATE_FALL = _setting("late_fall", 0.0, GAS, "s, by which it goes later")
 
 INDEX = {name: i for i, name in enumerate(SETTINGS)}
 NEUTRAL = np.array([setting.neutral for setting in SETTINGS.values()])
+READOUT_SETTINGS = frozenset(
+    i for i, setting in enumerate(SETTINGS.values()) if setting.stage == READOUT
+)
+"""places among the settings of those that leave the response as it is"""
 _of_the_gas = np.flatnonzero(np.array(_stages) == GAS)
 _before_the_readout = np.flatnonzero(np.array(_stages) != READOUT)
 
@@ -364,7 +368,7 @@ def _sensed(
     while before < len(times) and times[before] <= p[T0]:
         before += 1
     if before < len(times) and n > 0:
-        places, since = _places(times[before:], t)
+        places, since = cells_of(times[before:], t)
         _add_response(places, since, p, t, x2, x2_mid, mode_share, mode_ratio, out[before:])
     if p[CARRY] != 0.0:
         _add_carried(times, p, out)
@@ -386,7 +390,7 @@ def _add_response(
     # the sensor's lags in parallel, then the low-passes in a row: each is a round, which takes what
     # the one before makes at the ends and in the middles of the cells
     n = len(t) - 1
-    share, tau = _modes(p, mode_share, mode_ratio)
+    share, tau = sensor_modes(p, mode_share, mode_ratio)
     cells = Cells(np.empty(n), x2[:-1], x2_mid, x2[1:])
     all_places, half = np.empty(n, np.int64), np.empty(n)
     for i in range(n):
@@ -408,7 +412,7 @@ def _add_response(
         for j in range(1 if lag else len(share)):
             part = 1.0 if lag else share[j]
             time = filters[lag - 1] if lag else tau[j]
-            _sensor(cells, time, 1.0 if lag else p[RELEASE], p[RELEASE_WIDTH], rates, states)
+            sensor_states(cells, time, 1.0 if lag else p[RELEASE], p[RELEASE_WIDTH], rates, states)
             if last:
                 add_within(part, places, since, cells, rates, states, out)
             else:
@@ -419,7 +423,7 @@ def _add_response(
 
 
 @compiled(inside=True)
-def _modes(
+def sensor_modes(
     p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     # shares (n_modes,) and time constants (n_modes,) s of the sensor's parallel lags: the single
@@ -437,26 +441,26 @@ def _modes(
     if p[SLOW_S] != 0.0:
         spread = p[SLOW_S_SPREAD]
         for part in range(1 if spread == 1.0 else 3):
-            share[used] = p[SLOW_S] * _share_of(part, spread)
-            tau[used] = p[SLOW_S_TIME] * _factor_of(part, spread)
+            share[used] = p[SLOW_S] * share_of(part, spread)
+            tau[used] = p[SLOW_S_TIME] * factor_of(part, spread)
             used += 1
     return share[:used], tau[:used]
 
 
 @compiled(inside=True)
-def _share_of(part: int, spread: float) -> float:
+def share_of(part: int, spread: float) -> float:
     # of a lag that is spread: half of it is as it is, a quarter each slower and faster
     return 1.0 if spread == 1.0 else (0.5 if part == 0 else 0.25)
 
 
 @compiled(inside=True)
-def _factor_of(part: int, spread: float) -> float:
+def factor_of(part: int, spread: float) -> float:
     # .. and by how much
     return 1.0 if part == 0 else (spread if part == 1 else 1.0 / spread)
 
 
 @compiled(inside=True)
-def _places(times: FloatArray, t: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def cells_of(times: FloatArray, t: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     # the cell of the grid t in which each of the sorted times (n_t,) lies, what is after the last
     # in the last, and the time since its begin
     places, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
@@ -470,7 +474,7 @@ def _places(times: FloatArray, t: FloatArray) -> tuple[NDArray[np.int64], FloatA
 
 
 @compiled(inside=True)
-def _sensor(
+def sensor_states(
     cells: Cells, tau: float, ratio: float, width: float, rates: FloatArray, states: FloatArray
 ) -> None:
     # one of the sensor's lags: its rates (n,) in the cells and its states (n + 1,) at their ends.
@@ -509,9 +513,9 @@ def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
     # began
     spread = p[CARRY_SPREAD]
     for part in range(1 if spread == 1.0 else 3):
-        share = p[CARRY] * _share_of(part, spread)
+        share = p[CARRY] * share_of(part, spread)
         slow = p[CARRY_TIME] if p[CARRY_TIME] > 0.0 else p[TAU_M] / p[FLOW]
-        slow *= _factor_of(part, spread)
+        slow *= factor_of(part, spread)
         fast = p[TAU]
         if abs(slow - fast) < 1e-6 * slow:
             fast = slow * (1.0 - 1e-6)
@@ -522,7 +526,7 @@ def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
 
 
 @compiled()
-def _read(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -> FloatArray:
+def read_volts(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -> FloatArray:
     # V at the times of a response x3, with a step of the baseline of ``step`` V
     y0, beta, middle, cubic = p[Y0], p[BETA], p[MIDDLE], p[CUBIC]
     # towards the step: a signal upside down bends upside down
@@ -549,7 +553,7 @@ def _read(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -
 
 
 @compiled(inside=True)
-def _step_mean(low: float, high: float, p: FloatArray) -> float:
+def step_mean(low: float, high: float, p: FloatArray) -> float:
     # V: mean of the baseline's step between ``low`` and ``high`` s; exact, where a few times in a
     # bin would not tell where in it the step is
     begin = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
@@ -575,7 +579,9 @@ def rig_mean(
     times: FloatArray, p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
 ) -> FloatArray:
     """The mean voltage (n_t,) at sorted ``times`` (n_t,) s."""
-    volts: FloatArray = _read(times, p, rig_response(times, p, mode_share, mode_ratio), p[STEP])
+    volts: FloatArray = read_volts(
+        times, p, rig_response(times, p, mode_share, mode_ratio), p[STEP]
+    )
     return volts
 
 
@@ -619,13 +625,13 @@ def rig_means(
                 x3 = _sensed(at, p[i], gas[0], gas[1], gas[2], mode_share, mode_ratio)
             if i == first:
                 first_gas, first_x3 = gas, x3
-            volts = _read(at, p[i], x3, 0.0)
+            volts = read_volts(at, p[i], x3, 0.0)
             for b in range(of_bins[k], of_bins[k + 1]):
                 end = starts[b + 1] if b + 1 < of_bins[k + 1] else len(at)
                 for q in range(starts[b], end):
                     made[b, i - first] += weight[q] * volts[q]
                 if p[i, STEP] != 0.0:
-                    made[b, i - first] += _step_mean(low[b], high[b], p[i])
+                    made[b, i - first] += step_mean(low[b], high[b], p[i])
     return made
 
 

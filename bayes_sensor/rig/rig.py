@@ -133,20 +133,20 @@ class Rig:
         return any(stage.kind.depends_on_flow for stage in self.stages)
 
     @cached_property
-    def _n_lags(self) -> tuple[int, ...]:
+    def lags_of_stages(self) -> tuple[int, ...]:
         """How many lags each stage has."""
         return tuple(len(stage.kind.passage(1.0, 1.0).lags) for stage in self.stages)
 
     @property
     def n_lags(self) -> int:
         """How many lags the whole chain has."""
-        return sum(self._n_lags)
+        return sum(self.lags_of_stages)
 
     @cached_property
     def sensor_lag(self) -> int:
         """Place of the sensor's (first) lag in :meth:`taus`."""
         names = [stage.name for stage in self.stages]
-        return sum(self._n_lags[: names.index("sensor")])
+        return sum(self.lags_of_stages[: names.index("sensor")])
 
     @cached_property
     def has_delay(self) -> bool:
@@ -169,7 +169,7 @@ class Rig:
         found = []
         for i in self._order:
             stage = self.stages[i]
-            if self._n_lags[i] == 1 and (one_flow or not stage.kind.depends_on_flow):
+            if self.lags_of_stages[i] == 1 and (one_flow or not stage.kind.depends_on_flow):
                 found.append(stage.parameter)
         return tuple(found)
 

@@ -117,4 +117,19 @@ class Switching:
         return np.array(self.moves, dtype=np.int64)
 
 
+def input_range(inputs: Sequence[Switching]) -> tuple[float, float]:
+    """Lowest and highest level of several inputs.
+
+    >>> input_range([Switching.pulse(True)])
+    (0.0, 1.0)
+    """
+    levels: list[float] = []
+    for each in inputs:
+        if each.recorded is not None:
+            levels += each.recorded.values.tolist()
+        else:
+            levels += [each.rest, *(each.rest + np.cumsum(each.heights)).tolist()]
+    return min(levels), max(levels)
+
+
 _NOTHING, _UP, _UP_DOWN = np.zeros(2), np.ones(1), np.array([1.0, 0.0])

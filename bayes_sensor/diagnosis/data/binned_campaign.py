@@ -15,10 +15,44 @@ from bayes_sensor.diagnosis.data.bins import AllBins, ExperimentBins
 from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.block_least_squares import whiten
+from bayes_sensor.rig.experiment_kernel import ExperimentKernel
 
 SHARED = 3
 """coordinates shared by all experiments, of the shorter and the longer of tau and tau_v:
 ln longer - ln shorter - FASTER, ln longer, ln V"""
+
+
+@dataclass(frozen=True, eq=False)
+class ChainOfCampaign:
+    """The stages and inputs of a campaign that is not pulses on the published rig."""
+
+    names: tuple[str, ...]
+    """of the parameters that experiments share"""
+    shared: tuple[NDArray[np.int64], ...]
+    """of each experiment, positions of its rig's parameters among these"""
+    kernels: tuple[ExperimentKernel, ...]
+    """of each experiment"""
+    height: float = 1.0
+    """of the input's range in the campaign: beta is what a unit of the input is worth"""
+
+    @property
+    def own_sizes(self) -> tuple[int, ...]:
+        """Of each experiment: y0, beta and the times of its switches."""
+        return tuple(2 + len(kernel.switching.names) for kernel in self.kernels)
+
+    def restricted(self, stay: Sequence[int]) -> ChainOfCampaign:
+        """With some experiments alone."""
+        return replace(
+            self,
+            shared=tuple(self.shared[k] for k in stay),
+            kernels=tuple(self.kernels[k] for k in stay),
+        )
+
+    def times(self, k: int, local: FloatArray) -> tuple[float, float]:
+        """s, when experiment ``k`` first switches, and when it last switches down; the end of the
+        record where it never does.  ``local``: y0, beta and the times of its switches."""
+        first, last = self.kernels[k].first_and_last(local[2:])
+        return first, float(self.kernels[k].experiment.t[-1]) if last is None else last
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +80,23 @@ class BinnedCampaign:
     """s, median length of a record"""
     given_before: tuple[float, ...] | None = None
     """concentrations before each experiment where the campaign does not tell: some are left out"""
+    chain: ChainOfCampaign | None = None
+    """None: pulses on the published rig"""
     lags: tuple[str, str] = ("tau_s", "tau_v_s")
     """names of the shorter and the longer of the sensor's and the valve's lag; by size where
     nobody knows whose is which"""
+
+    @property
+    def n_shared(self) -> int:
+        """Coordinates that all experiments share, those of strengths aside."""
+        return SHARED if self.chain is None else len(self.chain.names)
+
+    @cached_property
+    def own_sizes(self) -> tuple[int, ...]:
+        """Coordinates that each experiment has for itself, those of strengths aside."""
+        if self.chain is not None:
+            return self.chain.own_sizes
+        return tuple(4 if e.has_fall else 3 for e in self.campaign)
 
     @property
     def sensor(self) -> int:
@@ -60,10 +108,32 @@ class BinnedCampaign:
         """Whether it is known which of the two lags is the sensor's."""
         return "tau_s" in self.lags
 
+    def moved_by(self, k: int) -> NDArray[np.int64]:
+        """(n_switches,) which of the times of experiment ``k`` moves each switch, in the order of
+        its bins'."""
+        n = len(self.bins[k].switches)
+        if self.chain is None:
+            return np.arange(n)
+        switching = self.chain.kernels[k].switching
+        if switching.recorded is not None:
+            return np.zeros(n, dtype=np.int64)
+        local = self.base[self.local(self.n_shared)[k] + 2 :][: len(switching.names)]
+        return switching.places[np.argsort(switching.times(local), kind="stable")]
+
+    @property
+    def several_flows(self) -> bool:
+        """Whether the experiments differ in their total flow."""
+        return len(self.campaign) > 1 and not self.campaign.same_flow
+
+    @property
+    def input_height(self) -> float:
+        """Of the input's range: beta times it is the height of the signal."""
+        return 1.0 if self.chain is None else self.chain.height
+
     @cached_property
     def height(self) -> float:
         """V, :attr:`signal_scale` with the sign of the steps: what goes with it turns with them."""
-        beta = [float(self.base[at + 1]) for at in self.local(SHARED)[:-1]]
+        beta = [float(self.base[at + 1]) for at in self.local(self.n_shared)[:-1]]
         return self.signal_scale if np.median(beta) >= 0.0 else -self.signal_scale
 
     @cached_property
@@ -105,13 +175,21 @@ class BinnedCampaign:
     def settings(self) -> tuple[Setting, ...]:
         """What effects may know of every experiment, switch times from the fit without effects."""
         found = []
-        first = self.local(SHARED)[:-1]
-        for e, at, before in zip(self.campaign, first, self.concentrations_before, strict=True):
+        first = self.local(self.n_shared)
+        for k, (e, before) in enumerate(
+            zip(self.campaign, self.concentrations_before, strict=True)
+        ):
+            at = first[k]
+            if self.chain is not None:
+                t0, tf = self.chain.times(k, self.base[at : first[k + 1]])
+            else:
+                t0 = float(self.base[at + 2])
+                tf = float(self.base[at + 3]) if e.has_fall else float(e.t[-1])
             found.append(
                 Setting(
                     experiment=e,
-                    t0=float(self.base[at + 2]),
-                    tf=float(self.base[at + 3]) if e.has_fall else float(e.t[-1]),
+                    t0=t0,
+                    tf=tf,
                     time_scale=self.time_scale,
                     reference_flow=self.reference_flow,
                     signal_scale=self.signal_scale,
@@ -145,6 +223,7 @@ class BinnedCampaign:
                 loudness=tuple(self.floor.loudness[k][keep[k]] for k in stay),
             ),
             base=self.local_coordinates(self.base, stay),
+            chain=None if self.chain is None else self.chain.restricted(stay),
             given_before=tuple(self.concentrations_before[k] for k in stay),
         )
 
@@ -161,5 +240,5 @@ class BinnedCampaign:
 
         ``own``: strengths that every experiment has for itself.
         """
-        sizes = ((4 if e.has_fall else 3) + own for e in self.campaign)
+        sizes = (size + own for size in self.own_sizes)
         return list(itertools.accumulate(sizes, initial=first))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.rig.cascade import cascade_response
+from bayes_sensor.diagnosis.data.switch_times import SwitchTimes, pulse_times
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 
@@ -59,7 +59,13 @@ class ExperimentBins:
     since: FloatArray
     """(n_bins,) s, from the last switch to the bin's middle; negative before the first"""
     falling: NDArray[np.bool_]
-    """(n_bins,) whether the last switch was the step down"""
+    """(n_bins,) whether the last switch was a step down"""
+    segment: NDArray[np.int64]
+    """(n_bins,) the switch whose phases these are, from 0; -1 for the baseline before all"""
+    switches: tuple[SwitchTimes, ...]
+    """of the record"""
+    last_switch: NDArray[np.int64]
+    """(n_bins,) number of the last switch, -1 before all"""
 
     @property
     def centre(self) -> FloatArray:
@@ -105,7 +111,17 @@ class ExperimentBins:
             phase=self.phase[keep],
             since=self.since[keep],
             falling=self.falling[keep],
+            segment=self.segment[keep],
+            switches=self.switches,
+            last_switch=self.last_switch[keep],
         )
+
+    @cached_property
+    def heights(self) -> FloatArray:
+        """(n_bins,) change of the input at the last switch, over the largest level; of the first
+        before it."""
+        each = np.array([s.height for s in self.switches])
+        return np.asarray(each[np.maximum(self.last_switch, 0)])
 
     def reduce(self, at_times: FloatArray) -> FloatArray:
         """(n_bins,) bin means of a function given at ``times`` (n_times,)."""
@@ -157,10 +173,14 @@ def make_bins(
     experiment at the fit without effects; ``time_scale`` s is what :data:`AFTER` is in units of.
     """
     delay = _usual_delay(campaign, switches)
-    return [
-        _bins(e, t0, tf, tau, time_scale, delay)
-        for e, (t0, tf), tau in zip(campaign, switches, taus, strict=True)
-    ]
+    found = []
+    for e, (t0, tf), tau in zip(campaign, switches, taus, strict=True):
+        response = t0
+        if delay is not None and e.commanded_on is not None and t0 - e.commanded_on < 0.4 * delay:
+            # a fit to a weak step may lock onto a spike at the command; the onset lasts longer
+            response = e.commanded_on + delay
+        found.append(bins_of(e, pulse_times(e, t0, tf, tau, response), time_scale))
+    return found
 
 
 def _usual_delay(campaign: Campaign, switches: list[tuple[float, float | None]]) -> float | None:
@@ -173,30 +193,20 @@ def _usual_delay(campaign: Campaign, switches: list[tuple[float, float | None]])
     return float(np.median(delays)) if len(delays) >= 3 else None
 
 
-def _bins(
-    e: Experiment,
-    t0: float,
-    tf: float | None,
-    taus: FloatArray,
-    scale: float,
-    delay: float | None,
-) -> ExperimentBins:
+def bins_of(e: Experiment, switches: Sequence[SwitchTimes], scale: float) -> ExperimentBins:
+    """The bins of one experiment around its ``switches``; ``scale`` s: see :func:`make_bins`."""
     start, end = float(e.t[0]) - 0.5 * e.interval, float(e.t[-1]) + 0.5 * e.interval
     edges = [start, end]
-    events = [t0] + ([tf] if tf is not None else [])
+    events = [s.at for s in switches]
     for event, until in zip(events, [*events[1:], end], strict=True):
         inside = event + scale * np.concatenate([BEFORE, AFTER])
         # the bins before the next switch belong to that switch
         stop = until + (scale * BEFORE[0] if until != end else 0.0)
         edges += [x for x in inside if start < x < stop or (x <= event and start < x < end)]
-    response = t0
-    if delay is not None and e.commanded_on is not None and t0 - e.commanded_on < 0.4 * delay:
-        # a fit to a weak step may lock onto a spike at the command; the onset lasts longer
-        response = e.commanded_on + delay
-    phases = phase_times(e, response, tf, taus)
+    phases, labels, of_switch = _phases(switches)
     edges += [x for x in phases if start < x < end]
     # carried-over gas leaves at the start of the record
-    edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < t0]
+    edges += [start + scale * x for x in (0.3, 0.8, 1.6, 3.0, 6.0) if start + scale * x < events[0]]
     # a third of the shortest after a switch
     merged = limit_lengths(
         np.unique(edges), 0.02 * scale, max(LONGEST * scale, (end - start) / ENOUGH)
@@ -226,7 +236,11 @@ def _bins(
             times += list(0.5 * (low + high) + 0.5 * (high - low) * x)
             weights += list(0.5 * w)
     centre = 0.5 * (e.t[begin] + e.t[after - 1])
-    falling = np.zeros(len(begin), dtype=bool) if tf is None else centre >= tf
+    numbers = np.arange(len(events))
+    last_switch = np.max(np.where(centre[:, None] >= events, numbers, -1), axis=1)
+    place = np.searchsorted(phases, centre, side="right")
+    since = centre - np.array(events)[np.maximum(last_switch, 0)]
+    falls = np.array([s.height < 0.0 for s in switches])
     return ExperimentBins(
         experiment=e,
         first=begin,
@@ -234,9 +248,32 @@ def _bins(
         times=np.array(times),
         weights=np.array(weights),
         starts=np.array(starts, dtype=np.int64),
-        phase=np.searchsorted(phases, centre, side="right"),
-        since=np.where(falling, centre - (tf if tf is not None else 0.0), centre - t0),
-        falling=falling,
+        phase=labels[place],
+        since=since,
+        falling=(last_switch >= 0) & falls[np.maximum(last_switch, 0)],
+        segment=of_switch[place],
+        switches=tuple(switches),
+        last_switch=last_switch,
+    )
+
+
+def _phases(
+    switches: Sequence[SwitchTimes],
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+    """s, when phases begin, (n,); and of each, after the baseline before all, its index into PHASES
+    and its switch, (n + 1,) both."""
+    begins, labels, of_switch = [], [0], [-1]
+    for j, s in enumerate(switches):
+        here = [(s.onset, 1), (s.risen, 2), (s.reached, 3)] if s.height > 0.0 else [
+            (s.onset, 4), (s.reached, 5)
+        ]  # fmt: skip
+        begins += [at for at, _ in here]
+        labels += [label for _, label in here]
+        of_switch += [j] * len(here)
+    return (
+        np.maximum.accumulate(begins),
+        np.array(labels, dtype=np.int64),
+        np.array(of_switch, dtype=np.int64),
     )
 
 
@@ -250,26 +287,3 @@ def limit_lengths(edges: FloatArray, shortest: float, longest: float) -> FloatAr
             kept += list(kept[-1] + (x - kept[-1]) * np.arange(1, n + 1) / n)
     kept[-1] = max(kept[-1], float(edges[-1]))
     return np.array(kept)
-
-
-def phase_times(e: Experiment, t0: float, tf: float | None, taus: FloatArray) -> FloatArray:
-    """(5,) s: when onset, rise, plateau, fall and tail begin; infinity for what is not there.
-
-    The onset lasts from the command (or from a little before the response where none is known)
-    until the response has reached a tenth; the rise from there to 99 %; the fall from the step
-    down to 1 %.
-    """
-    lags = float(np.sum(taus))
-    grid = np.linspace(0.0, 12.0 * lags, 1200)
-    x = cascade_response(grid, taus, 0.0)
-    tenth, most = (float(grid[min(int(np.searchsorted(x, s)), 1199)]) for s in (0.1, 0.99))
-    onset = t0 - 0.25 * lags
-    if e.commanded_on is not None:
-        onset = min(onset, e.commanded_on)
-    times = [onset, t0 + tenth, t0 + most, np.inf, np.inf]
-    if tf is not None:
-        fall = tf - 0.25 * lags
-        if e.commanded_off is not None:
-            fall = min(fall, e.commanded_off)
-        times[3], times[4] = fall, tf + most
-    return np.maximum.accumulate(times)

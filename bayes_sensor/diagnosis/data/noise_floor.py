@@ -22,6 +22,7 @@ from bayes_sensor.diagnosis.data.loudness import loudness, plateau_over_carrier
 from bayes_sensor.diagnosis.data.noise_memory import (
     ar1_shape,
     check_memory,
+    common_correlation,
     like_a_walk,
     own_memory,
 )
@@ -33,8 +34,9 @@ from bayes_sensor.diagnosis.data.quiet_stretches import (
 
 SHRINK = 20.0
 """degrees of freedom of the neighbouring band, or of the common shape, in a band's estimate"""
-DOF = 60.0
-"""degrees of freedom of the floor's level: evidences use a t law with so many"""
+DOF, LEAST_DOF = 60.0, 4.0
+"""degrees of freedom of the floor's level, at most and at least: evidences use a t law with so
+many"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,8 @@ class NoiseFloor:
     """samples replaced"""
     loudness: tuple[FloatArray, ...]
     """(n_bins,) of each experiment: times by which its noise is louder there than usual, or one"""
+    level_dof: float = DOF
+    """degrees of freedom of the floor's level"""
 
     def whiten(self, k: int, values: FloatArray) -> FloatArray:
         """Bin values (n_bins,) or (n_bins, m) of experiment ``k`` in standard deviations."""
@@ -137,7 +141,18 @@ def estimate_floor(
         )
         for k, (e, b, level) in enumerate(zip(campaign, bins, level_of_bins, strict=True))
     )  # fmt: skip
-    return NoiseFloor(edges, density, dof, factors, spikes, louder_bins)
+    return NoiseFloor(edges, density, dof, factors, spikes, louder_bins, _level_dof(noises))
+
+
+def _level_dof(noises: Sequence[FloatArray]) -> float:
+    """Degrees of freedom of the floor's level: of an AR(1)'s samples, less a parabola's each.
+
+    At most :data:`DOF`, as if so many samples had told it: noise of one record is not quite that of
+    the next.
+    """
+    phi = common_correlation(noises)
+    independent = (1.0 - phi) / (1.0 + phi) * sum(len(x) for x in noises) - 3.0 * len(noises)
+    return float(min(DOF, max(independent, LEAST_DOF)))
 
 
 def _shrunk(

@@ -9,12 +9,21 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
-from bayes_sensor.diagnosis.data.bins import make_bins
+from bayes_sensor.diagnosis.data.bins import ExperimentBins, make_bins
+from bayes_sensor.diagnosis.data.chain_preparation import FittedChain, residuals_of_chain
 from bayes_sensor.diagnosis.data.noise_floor import NoiseFloor, estimate_floor
-from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans, Stretch, clean, quiet_stretches
+from bayes_sensor.diagnosis.data.quiet_stretches import (
+    NARROW,
+    WIDTH,
+    QuietSpans,
+    Stretch,
+    clean,
+    quiet_stretches,
+)
+from bayes_sensor.diagnosis.data.switch_times import settling_time
+from bayes_sensor.diagnosis.evidence.chain_coordinates import coordinates_of
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
-from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.signals.signal import Samples
 from bayes_sensor.likelihood.density import grid_response
 from bayes_sensor.likelihood.problem import Problem
@@ -32,6 +41,8 @@ SHORTER_OVER_LONGER = 0.07
 def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArray]:
     """(n_t,) V per experiment: measurement minus the cascade at ``theta``."""
     layout = Layout.of(campaign)
+    if not layout.is_published:
+        return residuals_of_chain(campaign, theta)
     found = []
     for k, e in enumerate(campaign):
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
@@ -77,8 +88,9 @@ class PreparedCampaign:
     """switches and quiet spans of every experiment, and its noise"""
     theta: FloatArray
     """the flat fit that the residuals belong to, tau and tau_v by size"""
-    settle: tuple[float, ...]
-    """s after a switch that every experiment's quiet spans leave out"""
+    settle: tuple[float, ...] | None
+    """s after a switch that every experiment's quiet spans leave out; None: what each switch needs
+    """
 
     @property
     def deviations(self) -> list[FloatArray]:
@@ -95,6 +107,16 @@ class PreparedCampaign:
     def residuals_of(self, found: Refit) -> list[FloatArray]:
         """(n_t,) V of every experiment, spikes replaced, measurement minus a refit's mean."""
         campaign = self.binned.campaign
+        if self.binned.chain is not None:
+            base = coordinates_of(self.binned)
+            return [
+                np.where(
+                    e.used,
+                    r - found.coords.mean(found.x, k, e.t) + base.mean(self.binned.base, k, e.t),
+                    0.0,
+                )
+                for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True))
+            ]
         layout = Layout.of(campaign)
         made = []
         for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
@@ -134,16 +156,13 @@ def prepare(
     Raises CampaignError where no record has a quiet stretch.
     """
     naming = naming or Problem(campaign).naming()
+    if not Layout.of(campaign).is_published:
+        return _prepare_chain(FittedChain.of(campaign, theta, naming), naming)
     theta, lags = _by_name(theta, naming)
     layout = Layout.of(campaign)
     x = base_coordinates(campaign, theta)
     flat = flat_theta(campaign, x)
     raw = full_rate_residuals(campaign, flat)
-    cleaned, spikes = [], 0
-    for e, r in zip(campaign, raw, strict=True):
-        values, n = clean(r, e.used, lattice_step(e.values[e.used]))
-        cleaned.append(values)
-        spikes += n
     taus = [_taus(flat, e.total_flow) for e in campaign]
     scale = float(max(flat[1], np.median([t[1] for t in taus])))
     switches = []
@@ -151,16 +170,10 @@ def prepare(
         _, _, i_t0, i_tf = layout.local[k]
         switches.append((float(flat[i_t0]), float(flat[i_tf]) if i_tf >= 0 else None))
     bins = make_bins(campaign, switches, taus, scale)
-    # bin means of the cleaned measurement: the model at every sample plus the cleaned residual
-    data, levels = [], []
-    for k, (e, b, r, full) in enumerate(zip(campaign, bins, cleaned, raw, strict=True)):
-        data.append(b.average(np.where(e.used, e.values - full + r, 0.0)))
-        t0, tf = switches[k]
-        levels.append(b.reduce(cascade_response(b.times, taus[k], t0, tf)))
-    settle = [settling_time(t) for t in taus]
-    fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
-    stretches = quiet_stretches(campaign, cleaned, bins, settle)
-    floor = estimate_floor(campaign, cleaned, bins, stretches, levels, spikes, fits)
+    levels = [
+        b.reduce(cascade_response(b.times, taus[k], *switches[k])) for k, b in enumerate(bins)
+    ]
+    made = _measured(campaign, raw, bins, levels, [settling_time(t) for t in taus])
     steps = [abs(float(flat[layout.local[k][1]])) for k in range(len(campaign))]
     # at one flow V/Q is one of the lags, and V a name that may be another's
     names = (*lags, "V_mL" if "tau_s" in lags or naming.flow is None else "")
@@ -177,8 +190,8 @@ def prepare(
     binned = BinnedCampaign(
         campaign=campaign,
         bins=tuple(bins),
-        data=tuple(data),
-        floor=floor,
+        data=tuple(made.data),
+        floor=made.floor,
         base=x,
         centre=centre,
         sd=sd,
@@ -188,48 +201,117 @@ def prepare(
         duration=float(np.median([len(e.t) * e.interval for e in campaign])),
         lags=lags,
     )
-    return PreparedCampaign(
-        binned,
-        tuple(cleaned),
-        tuple(stretches),
-        tuple(quiet_stretches(campaign, raw, bins, settle)),
-        tuple(_quiet(campaign, floor, switches, taus, settle, steps)),
-        flat,
-        tuple(settle),
+    at_samples = [cascade_response(e.t, taus[k], *switches[k]) for k, e in enumerate(campaign)]
+    return made.prepared(binned, at_samples, steps, flat)
+
+
+def _prepare_chain(fitted: FittedChain, naming: Naming) -> PreparedCampaign:
+    """The same on a rig that is a chain of stages."""
+    campaign = fitted.campaign
+    bins = fitted.bins()
+    levels = [b.reduce(fitted.level(k, b.times)) for k, b in enumerate(bins)]
+    made = _measured(campaign, fitted.residuals, bins, levels, None)
+    centre, sd = fitted.priors
+    flow = float(np.median([e.total_flow for e in campaign]))
+    known = naming.order != "undecided"
+    binned = BinnedCampaign(
+        campaign=campaign,
+        bins=tuple(bins),
+        data=tuple(made.data),
+        floor=made.floor,
+        base=fitted.coordinates,
+        centre=centre,
+        sd=sd,
+        time_scale=fitted.time_scale,
+        signal_scale=float(np.median(fitted.steps)) or 1.0,
+        reference_flow=flow if np.isfinite(flow) else 1.0,
+        duration=float(np.median([np.ptp(e.t) + e.interval for e in campaign])),
+        chain=fitted.chain,
+        lags=("tau_s", "tau_v_s") if known else ("lag_fast_s", "lag_slow_s"),
     )
+    at_samples = [fitted.level(k, e.t) for k, e in enumerate(campaign)]
+    return made.prepared(binned, at_samples, fitted.steps, fitted.theta)
 
 
-def _quiet(
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What is measured around a fit: bin means, noise floor, quiet stretches."""
+
+    campaign: Campaign
+    bins: list[ExperimentBins]
+    raw: list[FloatArray]
+    cleaned: list[FloatArray]
+    data: list[FloatArray]
+    stretches: list[Stretch]
+    floor: NoiseFloor
+    settle: list[float] | None
+
+    def prepared(
+        self,
+        binned: BinnedCampaign,
+        at_samples: list[FloatArray],
+        steps: list[float],
+        theta: FloatArray,
+    ) -> PreparedCampaign:
+        """With the ``binned`` campaign; ``at_samples`` (n_t,): the response, 0 to 1."""
+        return PreparedCampaign(
+            binned,
+            tuple(self.cleaned),
+            tuple(self.stretches),
+            tuple(quiet_stretches(self.campaign, self.raw, self.bins, self.settle)),
+            tuple(_quiet(self, at_samples, steps)),
+            theta,
+            None if self.settle is None else tuple(self.settle),
+        )
+
+
+def _measured(
     campaign: Campaign,
-    floor: NoiseFloor,
-    switches: list[tuple[float, float | None]],
-    taus: list[FloatArray],
-    settle: list[float],
-    steps: list[float],
-) -> list[QuietSpans]:
-    deviation = np.sqrt(floor.density @ np.diff(floor.edges))
+    raw: list[FloatArray],
+    bins: list[ExperimentBins],
+    levels: list[FloatArray],
+    settle: list[float] | None,
+) -> _Measured:
+    cleaned, spikes = [], 0
+    for e, r in zip(campaign, raw, strict=True):
+        width = WIDTH if settle is not None else NARROW
+        values, n = clean(r, e.used, lattice_step(e.values[e.used]), width)
+        cleaned.append(values)
+        spikes += n
+    # bin means of the cleaned measurement: the model at every sample plus the cleaned residual
+    data = [
+        b.average(np.where(e.used, e.values - full + r, 0.0))
+        for e, b, r, full in zip(campaign, bins, cleaned, raw, strict=True)
+    ]
+    fits = [e.values - r for e, r in zip(campaign, raw, strict=True)]
+    stretches = quiet_stretches(campaign, cleaned, bins, settle)
+    floor = estimate_floor(campaign, cleaned, bins, stretches, levels, spikes, fits)
+    return _Measured(campaign, bins, raw, cleaned, data, stretches, floor, settle)
+
+
+def _quiet(made: _Measured, at_samples: list[FloatArray], steps: list[float]) -> list[QuietSpans]:
+    deviation = np.sqrt(made.floor.density @ np.diff(made.floor.edges))
     found = []
-    for k, (e, (t0, tf)) in enumerate(zip(campaign, switches, strict=True)):
-        begins = [float(e.t[0]), t0 + settle[k]] + ([] if tf is None else [tf + settle[k]])
-        ends = [t0, float(e.t[-1])] if tf is None else [t0, tf, float(e.t[-1])]
-        x = np.clip(cascade_response(e.t, taus[k], t0, tf), 0.0, 1.0)
+    for k, (e, b) in enumerate(zip(made.campaign, made.bins, strict=True)):
+        switches = [s.at for s in b.switches]
+        own = made.settle
+        waits = [s.settle if own is None else own[k] for s in b.switches]
+        begins = [at + wait for at, wait in zip(switches, waits, strict=True)]
+        x = np.clip(at_samples[k], 0.0, 1.0)
         low, high = deviation[k]
+        before = bool(b.switches) and b.switches[0].height < 0.0
         found.append(
             QuietSpans(
-                switches=(t0,) if tf is None else (t0, tf),
-                spans=tuple(zip(begins, ends, strict=True)),
+                switches=tuple(switches),
+                spans=tuple(
+                    zip([float(e.t[0]), *begins], [*switches, float(e.t[-1])], strict=True)
+                ),
                 deviation=low + (high - low) * x,
                 step=steps[k],
+                high=(before, *(s.high for s in b.switches)),
             )
         )
     return found
-
-
-def settling_time(taus: FloatArray) -> float:
-    """s after a switch until the cascade is within .3 % of its end."""
-    grid = np.linspace(0.0, 20.0 * float(np.sum(taus)), 2000)
-    away = np.abs(1.0 - cascade_response(grid, taus, 0.0)) > 3e-3
-    return float(grid[np.flatnonzero(away)[-1]])
 
 
 def _by_name(theta: FloatArray, naming: Naming) -> tuple[FloatArray, tuple[str, str]]:
@@ -267,7 +349,7 @@ def _spread(campaign: Campaign, names: tuple[str, ...]) -> FloatArray:
 
 def fit_base(binned: BinnedCampaign) -> Refit:
     """The model without effects: the best of several starts."""
-    coords = Coordinates(binned)
+    coords = coordinates_of(binned)
     rough = [
         refit(coords, x, most_steps=12, tolerance=0.5) for x in base_starts(binned, binned.base)
     ]

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import lfilter, windows
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import Campaign, Experiment, FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
 
 SPIKE = 6.5
 """robust standard deviations beyond which a sample is taken for a glitch"""
-LONG, SHORT = 64, 24
-"""samples of a stretch that tell a spectrum in several bands; and that tell it in one or two, in
-records of a sample a second"""
+LONG, SHORT, FEW = 64, 24, 12
+"""samples of a stretch that tell a spectrum in several bands; that tell it in one or two, in
+records of a sample a second; and that tell little more than a size"""
+WIDTH, NARROW = 5, 2
+"""samples on either side of one that tell whether it is a glitch; and where a lag lasts for few"""
 SPELL = 200
 """samples in a row that tell whether all of them are large, and none of them a glitch"""
 MUCH = 1.5
@@ -49,15 +51,18 @@ class QuietSpans:
     """(n_t,) V, the noise's standard deviation at every sample"""
     step: float = 1.0
     """V, height of the plateau over the baseline"""
+    high: tuple[bool, ...] = (False, True, False)
+    """whether each span is on a plateau"""
 
 
 def clean(
-    residual: FloatArray, used: NDArray[np.bool_], resolution: float = 0.0
+    residual: FloatArray, used: NDArray[np.bool_], resolution: float = 0.0, width: int = WIDTH
 ) -> tuple[FloatArray, int]:
     """The residual with unused samples and spikes set to the local median, and how many spikes.
 
     ``resolution`` V: the converter's step.  Where the noise hardly crosses it most samples are
-    equal, and a median would take every sample a step away for a spike.
+    equal, and a median would take every sample a step away for a spike.  ``width``: samples on
+    either side that make the median; where few samples make up a rise a misfit is as short.
     """
     out = np.where(used, residual, 0.0)
     values = out[used]
@@ -70,7 +75,6 @@ def clean(
     scale = 1.4826 * np.median(np.abs(values - centre))
     if scale <= 0.0 or spread <= 0.0:
         return out, 0
-    width = 5
     padded = np.pad(out, width, mode="edge")
     local = (
         np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1)[::1], axis=1)
@@ -109,14 +113,20 @@ def quiet_stretches(
     campaign: Campaign,
     residuals: Sequence[FloatArray],
     bins: Sequence[ExperimentBins],
-    settle: Sequence[float],
+    settle: Sequence[float] | None = None,
 ) -> list[Stretch]:
-    """The quiet parts of all records; ``settle`` s after a switch are left out.
+    """The quiet parts of all records; what settles after a switch is left out.
 
-    Short ones count where no record has a long one.
+    ``settle`` s of every experiment; None: of every switch what its response needs.  Short
+    stretches count where no record has a long one.  Where there is none even so and ``settle`` is
+    None, the response is left out in part only, or not at all: the residual of a fit holds the
+    noise there, too, beside what the model misses.
     """
-    for fewest in (LONG, SHORT):
-        found = _quiet_stretches(campaign, residuals, bins, settle, fewest)
+    tries = [(LONG, 1.0), (SHORT, 1.0)]
+    if settle is None:
+        tries += [(SHORT, 0.5), (FEW, 1.0), (FEW, 0.5), (FEW, 0.25), (FEW, 0.0)]
+    for fewest, share in tries:
+        found = _quiet_stretches(campaign, residuals, bins, settle, fewest, share)
         if found:
             break
     return found
@@ -126,24 +136,40 @@ def _quiet_stretches(
     campaign: Campaign,
     residuals: Sequence[FloatArray],
     bins: Sequence[ExperimentBins],
-    settle: Sequence[float],
+    settle: Sequence[float] | None,
     fewest: int,
+    share: float,
 ) -> list[Stretch]:
     found = []
     for k, (e, r, b) in enumerate(zip(campaign, residuals, bins, strict=True)):
-        on = float(e.t[b.first[b.phase >= 1].min()]) if np.any(b.phase >= 1) else float(e.t[-1])
-        fall = b.phase >= 4
-        off = float(e.t[b.first[fall].min()]) if np.any(fall) else float(e.t[-1]) + e.interval
-        spans = [(float(e.t[0]), on, 0), (on + settle[k], off, 1)]
-        if np.any(fall):
-            spans.append((off + settle[k], float(e.t[-1]) + e.interval, 0))
-        for low, high, level in spans:
+        for low, high, level in spans_of(e, b, None if settle is None else settle[k], share):
             a, z = np.searchsorted(e.t, (low, high))
             for run_a, run_b in e.runs:
                 i, j = max(a, run_a), min(z, run_b)
                 if (j - i) >= fewest:
                     found.append(Stretch(k, level, np.asarray(r[i:j], dtype=float), float(e.t[i])))
     return found
+
+
+def spans_of(
+    e: Experiment, b: ExperimentBins, settle: float | None = None, share: float = 1.0
+) -> list[tuple[float, float, int]]:
+    """s, begin and end of every quiet span, and whether it is on a plateau."""
+    end = float(e.t[-1]) + e.interval
+    begins = [
+        float(e.t[b.first[b.segment >= j].min()]) if np.any(b.segment >= j) else None
+        for j in range(len(b.switches))
+    ]
+    first = begins[0] if begins and begins[0] is not None else float(e.t[-1])
+    before = b.switches[0].height < 0.0 if b.switches else False
+    spans = [(float(e.t[0]), first, int(before))]
+    for j, (at, s) in enumerate(zip(begins, b.switches, strict=True)):
+        if at is None and j > 0:
+            continue
+        start = float(e.t[-1]) if at is None else at
+        after = next((x for x in begins[j + 1 :] if x is not None), end)
+        spans.append((start + (share * s.settle if settle is None else settle), after, int(s.high)))
+    return spans
 
 
 def detrended(samples: FloatArray, degree: int = 2) -> FloatArray:

@@ -16,15 +16,17 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
+from bayes_sensor.diagnosis.effects.effects_of_rig import Possible
 from bayes_sensor.diagnosis.effects.rig_view import RigView, check_settings, coating_modes
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade, local_parameters
+from bayes_sensor.rig.experiment_kernel import NEVER, ExperimentKernel
 from bayes_sensor.rig.lags import Assignment, Commuting
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.rig.perturbed import FIRST, INDEX, NEUTRAL, rig_mean, rig_response
-from bayes_sensor.rig.rig import PUBLISHED
+from bayes_sensor.rig.perturbed import FIRST, INDEX, NEUTRAL, T0, TF, rig_mean, rig_response
+from bayes_sensor.rig.switching import input_range
 
 SUFFIX = {"1": "", "s": "_s", "V": "_V", "V/s": "_V_per_s", "1/V": "_per_V", "1/s": "_per_s"}
 """unit -> ending of a parameter's name"""
@@ -111,12 +113,14 @@ class Scales:
     @classmethod
     def of(cls, campaign: Campaign, theta: FloatArray | None = None) -> Scales:
         """From a fit (flat theta) or, without one, from the records themselves."""
-        flow = float(np.median([e.total_flow for e in campaign]))
+        flow = float(np.median([e.total_flow for e in campaign])) if campaign.flows_known else 1.0
         duration = float(np.median([len(e.t) * e.interval for e in campaign]))
         names = campaign.names_of_experiments
         before = dict(zip(names, campaign.concentrations_before, strict=True))
         if theta is not None:
             layout = Layout.of(campaign)
+            if not layout.is_published:
+                return cls._of_chain(layout, theta, campaign, duration, before)
             slow = max(float(theta[0]), float(theta[1]))
             steps = [abs(float(theta[row[1]])) for row in layout.local]
             time_scale, signal = max(slow, float(theta[2]) / flow), float(np.median(steps))
@@ -126,6 +130,21 @@ class Scales:
         measured = [np.ptp(e.values[e.used]) for e in campaign if e.y is not None]
         signal = float(np.median(measured)) if measured else 1.88
         return cls(fastest_rise(campaign) / 2.2, flow, signal, duration, before)
+
+    @classmethod
+    def _of_chain(
+        cls,
+        layout: Layout,
+        theta: FloatArray,
+        campaign: Campaign,
+        duration: float,
+        before: Mapping[str, float],
+    ) -> Scales:
+        flow = float(np.median([e.total_flow for e in campaign])) if campaign.flows_known else 1.0
+        slow = max(layout.slowest(theta, k, e.total_flow) for k, e in enumerate(campaign))
+        low, high = input_range(layout.switching)
+        steps = [abs(float(theta[row[1]])) * (high - low) for row in layout.local]
+        return cls(slow, flow, float(np.median(steps)), duration, before)
 
     def setting(self, e: Experiment, t0: float, tf: float | None) -> Setting:
         """What a form may know of an experiment."""
@@ -215,18 +234,18 @@ class EffectModel:
         self, theta: FloatArray, layout: Layout, e: Experiment
     ) -> tuple[FloatArray, list[tuple[Form, dict[str, float], Setting]]]:
         """The kernel's parameters, and the forms with a mean of their own."""
-        y0, beta, t0, tf = local_parameters(theta, layout, e.name)
-        p = np.empty(FIRST + len(NEUTRAL))
-        p[FIRST:] = NEUTRAL
-        tau, tau_v, volume = theta[:3]
+        shared = theta[: layout.n_shared]
         if self.assignment is not None:
-            commuting = Commuting.among(self.assignment.names, PUBLISHED.names, self.flow)
-            tau, tau_v, volume = commuting.named(theta, [self.assignment])
-        p[:FIRST] = (
-            tau, tau_v, volume / e.total_flow, y0, beta, t0,
-            1e30 if tf is None else tf, e.concentration, e.t[0] - 0.5 * e.interval,
-            0.5 * (e.t[0] + e.t[-1]),
-        )  # fmt: skip
+            commuting = Commuting.among(self.assignment.names, layout.shared_names, self.flow)
+            shared = commuting.named(theta, [self.assignment])
+        kernel = kernel_of(layout, e)
+        if kernel is None:
+            p, t0, tf = _of_pulse(shared, theta, layout, e)
+        else:
+            k = layout.place_of(e.name)
+            places = layout.local[k]
+            p = kernel.parameters(shared[layout.shared[k]], theta[places[places >= 0]])
+            t0, tf = float(p[T0]), float(p[TF]) if p[TF] < NEVER else None
         setting = self.scales.setting(e, t0, tf)
         own = []
         for c, values in zip(self.chosen, self.values(theta, layout, e.name), strict=True):
@@ -249,11 +268,14 @@ class EffectModel:
         modes = coating_modes()
         if len(at) == 0:
             return np.zeros(0), np.zeros(0)
-        x = rig_response(at, p, *modes)
-        m = rig_mean(at, p, *modes)
+        kernel = kernel_of(layout, experiment)
+        if kernel is None:
+            x, m = rig_response(at, p, *modes), rig_mean(at, p, *modes)
+        else:
+            x, m = kernel.response(at, p, modes), kernel.mean(at, p, modes)
         for form, values, setting in own:
             assert form.mean is not None
-            m = np.asarray(form.mean(at, values, RigView(setting, p)), dtype=float)
+            m = np.asarray(form.mean(at, values, RigView(setting, p, kernel)), dtype=float)
         mean, response = np.empty_like(m), np.empty_like(x)
         mean[order], response[order] = m, x
         return mean, response
@@ -278,8 +300,7 @@ class EffectModel:
         for i, c in enumerate(self.chosen):
             ends = []
             for theta in (low, high):
-                _, _, t0, tf = local_parameters(theta, layout, experiment.name)
-                setting = self.scales.setting(experiment, t0, tf)
+                setting = self.scales.setting(experiment, *_switches(theta, layout, experiment))
                 values = self.values(theta, layout, experiment.name)[i]
                 made = c.body.settings(values, setting)
                 if "step" not in made:
@@ -289,6 +310,38 @@ class EffectModel:
             if ends:
                 found.append((min(ends) - experiment.interval, max(ends) + experiment.interval))
         return found
+
+
+def kernel_of(layout: Layout, e: Experiment) -> ExperimentKernel | None:
+    """The kernel of an experiment; None for pulses on the published rig, which have one alone."""
+    if layout.is_published:
+        return None
+    return ExperimentKernel(layout.rig, layout.switching[layout.place_of(e.name)], e)
+
+
+def _of_pulse(
+    shared: FloatArray, theta: FloatArray, layout: Layout, e: Experiment
+) -> tuple[FloatArray, float, float | None]:
+    """The published kernel's parameters, t0 and tf (None where no step down exists)."""
+    y0, beta, t0, tf = local_parameters(theta, layout, e.name)
+    p = np.empty(FIRST + len(NEUTRAL))
+    p[FIRST:] = NEUTRAL
+    tau, tau_v, volume = shared
+    p[:FIRST] = (
+        tau, tau_v, volume / e.total_flow, y0, beta, t0,
+        NEVER if tf is None else tf, e.concentration, e.t[0] - 0.5 * e.interval,
+        0.5 * (e.t[0] + e.t[-1]),
+    )  # fmt: skip
+    return p, t0, tf
+
+
+def _switches(theta: FloatArray, layout: Layout, e: Experiment) -> tuple[float, float | None]:
+    """s, when an experiment first switches, and when it last switches down."""
+    kernel = kernel_of(layout, e)
+    if kernel is None:
+        return local_parameters(theta, layout, e.name)[2:]
+    k = layout.place_of(e.name)
+    return kernel.first_and_last(theta[layout.switches(k)])
 
 
 def parse_effect(text: str, where: str = "effect") -> tuple[str, str | None]:
@@ -337,13 +390,17 @@ def with_effects(
         if name in [c.effect for c in chosen]:
             raise CampaignError(f"effect {name} is given twice; name it once")
         chosen.append(Chosen(name, body.name, own))
+    scales = Scales.of(campaign, theta)
+    possible = Possible.of(campaign)
+    for c in chosen:
+        possible.check(c.entry, c.body, scales.setting(campaign.experiments[0], 0.0, None))
     first = campaign.experiments[0]
     on = first.commanded_on if first.commanded_on is not None else float(first.t[0])
     off = first.commanded_off if first.commanded_off is not None else float(first.t[-1])
     naming = problem.naming(None if theta is None else problem.shares(theta))
     model = EffectModel(
         chosen=tuple(chosen),
-        scales=Scales.of(campaign, theta),
+        scales=scales,
         experiments=tuple(campaign.names_of_experiments),
         reference=(on, off),
         held=tuple(sorted((held or {}).items())),

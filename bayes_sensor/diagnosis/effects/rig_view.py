@@ -9,6 +9,7 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects.setting import Setting
+from bayes_sensor.rig.experiment_kernel import ExperimentKernel
 from bayes_sensor.rig.perturbed import BETA, FIRST, INDEX, SETTINGS, Y0, rig_mean, rig_response
 
 
@@ -35,20 +36,29 @@ def coating_modes() -> tuple[FloatArray, FloatArray]:
 class RigView:
     """The rig of one experiment as a user's own effect sees it."""
 
-    def __init__(self, setting: Setting, parameters: FloatArray) -> None:
-        """``parameters``: of the kernel, :func:`bayes_sensor.rig.perturbed.rig_mean`."""
-        self.setting, self._parameters = setting, parameters
+    def __init__(
+        self, setting: Setting, parameters: FloatArray, kernel: ExperimentKernel | None = None
+    ) -> None:
+        """``parameters``: of the ``kernel``, or of that of a pulse on the published rig,
+        :func:`bayes_sensor.rig.perturbed.rig_mean`."""
+        self.setting, self._parameters, self._kernel = setting, parameters, kernel
         self.y0, self.beta = float(parameters[Y0]), float(parameters[BETA])
         self.experiment = setting.experiment
         self.t0, self.tf = setting.t0, setting.tf
 
     def mean(self, t: FloatArray, **settings: float) -> FloatArray:
         """V (n_t,), the mean of the rig with these settings changed."""
-        return np.asarray(rig_mean(t, self._changed(settings), *coating_modes()))
+        changed, modes = self._changed(settings), coating_modes()
+        if self._kernel is not None:
+            return self._kernel.mean(t, changed, modes)
+        return np.asarray(rig_mean(t, changed, *modes))
 
     def response(self, t: FloatArray, **settings: float) -> FloatArray:
         """x3 (n_t,), 0 to 1, of the rig with these settings changed."""
-        return np.asarray(rig_response(t, self._changed(settings), *coating_modes()))
+        changed, modes = self._changed(settings), coating_modes()
+        if self._kernel is not None:
+            return self._kernel.response(t, changed, modes)
+        return np.asarray(rig_response(t, changed, *modes))
 
     def _changed(self, settings: Mapping[str, float]) -> FloatArray:
         check_settings("user's own", settings)

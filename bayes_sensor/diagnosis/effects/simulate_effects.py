@@ -22,7 +22,6 @@ from bayes_sensor.diagnosis.effects.effect_model import (
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.noise import lag_coefficient, scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import local_parameters
 from bayes_sensor.rig.layout import Theta
 
 BURN_IN = 2000
@@ -190,8 +189,7 @@ def _mean_model(
         from bayes_sensor.likelihood.density import mean_and_variance
 
         def plain(k: int) -> tuple[FloatArray, FloatArray]:
-            e = campaign.experiments[k]
-            y0, beta, _, _ = local_parameters(vector, problem.layout, e.name)
+            y0, beta = (float(vector[i]) for i in problem.layout.local[k, :2])
             mean, _ = mean_and_variance(problem, vector, k)
             return mean, (mean - y0) / beta if beta else np.zeros_like(mean)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.binned_campaign import SHARED, BinnedCampaign
+from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
 
 FASTER = 0.3
@@ -72,10 +72,55 @@ class CoordinatePriors:
             if s.per_experiment and s.name not in self.held
         ]  # fmt: skip
 
+    @property
+    def n_ordered(self) -> int:
+        """How many of the first coordinates hold one lag below another: 1, or none.
+
+        The cascade is unchanged when two lags swap places, so the shorter one is kept the shorter.
+        """
+        return 1
+
+    def at_limit(self, x: FloatArray) -> bool:
+        """Whether the shorter lag is as long as it may be, so that its coordinate does not move."""
+        return bool(x[0] <= 0.0)
+
+    @property
+    def places_of_tau(self) -> tuple[int, int]:
+        """Coordinates of the logarithm of tau: the second less the first where tau is the shorter
+        lag, else the second."""
+        return 0, 1
+
+    @property
+    def tau_is_difference(self) -> float:
+        """1 where the logarithm of tau is the second of these less the first, else 0."""
+        return 1.0 - self.binned.sensor
+
+    def tau_of(self, x: FloatArray) -> float:
+        """s, the sensor's lag."""
+        return self.lags_of(x)[self.binned.sensor]
+
+    def lags_of(self, x: FloatArray) -> tuple[float, float]:
+        """s, the shorter and the longer of tau and tau_v."""
+        return exp(max(x[1] - FASTER - x[0], -60.0)), exp(x[1])
+
+    def logarithms(self, x: FloatArray) -> FloatArray:
+        """(n_shared,) logarithms of the rig's parameters, as their priors have them."""
+        return np.log([*self.lags_of(x), exp(x[2])])
+
+    def bent(self, before: FloatArray, after: FloatArray) -> float:
+        """s, by which the shorter lag gains more than is linear in its coordinates."""
+        lag, by = before[1] - FASTER - before[0], (after[1] - before[1]) - (after[0] - before[0])
+        return float(exp(max(lag, -60.0)) * (exp(by) - 1.0 - by))
+
     @cached_property
     def local(self) -> list[int]:
         """First coordinate of each experiment, and one after the last."""
-        return self.binned.local(SHARED + len(self.shared), len(self.own))
+        return self.binned.local(self.first_strength + len(self.shared), len(self.own))
+
+    @property
+    def first_strength(self) -> int:
+        """First coordinate of the shared strengths."""
+        return self.binned.n_shared
 
     @property
     def size(self) -> int:
@@ -91,11 +136,13 @@ class CoordinatePriors:
         experiment that does not show its step.
         """
         mean, precision = np.zeros(self.size), np.zeros(self.size)
-        mean[1:3] = self.binned.centre[1:]
-        precision[1:3] = 1.0 / self.binned.sd[1:] ** 2
-        precision[SHARED : SHARED + len(self.shared)] = 1.0
+        first = self.first_strength
+        known = slice(self.n_ordered, first)
+        mean[known] = self.binned.centre[known]
+        precision[known] = 1.0 / self.binned.sd[known] ** 2
+        precision[first : first + len(self.shared)] = 1.0
         n = len(self.own)
-        for k, (at, end) in enumerate(itertools.pairwise(self.binned.local(SHARED))):
+        for k, (at, end) in enumerate(itertools.pairwise(self.binned.local(first))):
             m = end - at
             here = slice(self.local[k], self.local[k] + m)
             mean[here] = self.binned.base[at:end]
@@ -109,12 +156,13 @@ class CoordinatePriors:
         _, precision = self.prior
         widths = np.ones(self.size) if widths is None else widths
         matrix = np.diag(precision / widths**2)
-        tau = 1.0 / self.binned.sd[0] ** 2
-        # the logarithm of the shorter lag is x1 - FASTER - x0
-        matrix[0, 0] += tau
-        matrix[1, 1] += tau
-        matrix[0, 1] -= tau
-        matrix[1, 0] -= tau
+        if self.n_ordered:
+            tau = 1.0 / self.binned.sd[0] ** 2
+            # the logarithm of the shorter lag is x1 - FASTER - x0
+            matrix[0, 0] += tau
+            matrix[1, 1] += tau
+            matrix[0, 1] -= tau
+            matrix[1, 0] -= tau
         for index, alike in self._alike:
             # the inverse of (1 - alike) I + alike 1 1', in units of the spreads
             n = len(index)
@@ -127,7 +175,9 @@ class CoordinatePriors:
         """ln of the determinant of :meth:`prior_matrix`."""
         _, precision = self.prior
         proper = precision > 0
-        total = np.sum(np.log((precision / widths**2)[proper])) - 2.0 * np.log(self.binned.sd[0])
+        total = np.sum(np.log((precision / widths**2)[proper]))
+        if self.n_ordered:
+            total -= 2.0 * np.log(self.binned.sd[0])
         for index, alike in self._alike:
             n = len(index)
             total -= (n - 1) * np.log1p(-alike) + np.log1p((n - 1) * alike)
@@ -171,7 +221,8 @@ class CoordinatePriors:
         """(n,) where the prior is highest."""
         mean, _ = self.prior
         centre = mean.copy()
-        centre[0] = centre[1] - FASTER - self.binned.centre[0]
+        if self.n_ordered:
+            centre[0] = centre[1] - FASTER - self.binned.centre[0]
         return centre
 
     @cached_property
@@ -179,7 +230,7 @@ class CoordinatePriors:
         """Per experiment, every fitted strength: its part, itself and its coordinate."""
         made = []
         for k in range(len(self.binned.bins)):
-            i, j = SHARED, self.local[k + 1] - len(self.own)
+            i, j = self.first_strength, self.local[k + 1] - len(self.own)
             found = []
             for part, strengths in enumerate(self.strengths):
                 for s in strengths:
@@ -213,8 +264,8 @@ class CoordinatePriors:
         volts in units of the step's height.
         """
         x = np.zeros(self.size)
-        x[:SHARED] = base[:SHARED]
-        at = SHARED
+        first = at = self.first_strength
+        x[:first] = base[:first]
         n = len(self.own)
         time, scales = self.binned.time_scale, {"V": self.binned.height}
 
@@ -224,9 +275,8 @@ class CoordinatePriors:
             return s.coordinate(chosen[s.name]) if s.name in chosen else 0.0
 
         for i, s in enumerate(self.shared):
-            x[SHARED + i] = begin(s)
-        for k, e in enumerate(self.binned.campaign):
-            m = 4 if e.has_fall else 3
+            x[first + i] = begin(s)
+        for k, m in enumerate(self.binned.own_sizes):
             x[self.local[k] : self.local[k] + m] = base[at : at + m]
             at += m
             for i, s in enumerate(self.own):
@@ -243,7 +293,7 @@ class CoordinatePriors:
 
     @cached_property
     def _columns(self) -> list[NDArray[np.int64]]:
-        shared = np.arange(SHARED + len(self.shared))
+        shared = np.arange(self.first_strength + len(self.shared))
         return [
             np.concatenate([shared, np.arange(a, b)]) for a, b in itertools.pairwise(self.local)
         ]
@@ -252,23 +302,22 @@ class CoordinatePriors:
     def steps(self) -> FloatArray:
         """(n,) steps of the derivatives."""
         steps = np.full(self.size, 0.02)
-        steps[0] = 0.01
-        steps[1:SHARED] = 1e-3
-        for k, e in enumerate(self.binned.campaign):
-            at = self.local[k]
+        steps[: self.first_strength] = 1e-3
+        steps[: self.n_ordered] = 0.01
+        for at, m in zip(self.local, self.binned.own_sizes, strict=False):
             steps[at : at + 2] = 1e-3 * self.binned.height
-            steps[at + 2 : at + (4 if e.has_fall else 3)] = 1e-3 * self.binned.time_scale
+            steps[at + 2 : at + m] = 1e-3 * self.binned.time_scale
         return steps
 
     @cached_property
     def longest_steps(self) -> FloatArray:
         """(n,) how far one iteration may go: logarithms by 1, switch times by a time scale."""
         most = np.full(self.size, 1.5)
-        most[:SHARED] = (2.0, 0.7, 0.7)
-        for k, fall in enumerate(self._falls):
-            at = self.local[k]
+        most[: self.first_strength] = 0.7
+        most[: self.n_ordered] = 2.0
+        for at, m in zip(self.local, self.binned.own_sizes, strict=False):
             most[at : at + 2] = 10.0 * self.binned.signal_scale
-            most[at + 2 : at + (4 if fall else 3)] = self.binned.time_scale
+            most[at + 2 : at + m] = self.binned.time_scale
         return most
 
     @cached_property
@@ -278,7 +327,7 @@ class CoordinatePriors:
         The shorter lag stays the shorter, and normal strengths at or above their lower limits.
         """
         least = np.full(self.size, -inf)
-        least[0] = 0.0
+        least[: self.n_ordered] = 0.0
         for fitted in self._fitted:
             for _, s, at in fitted:
                 if s.kind == "normal" and s.limits[0] > -inf:
@@ -288,10 +337,20 @@ class CoordinatePriors:
     @cached_property
     def switch_times(self) -> NDArray[np.int64]:
         """Coordinates t0 and tf of all experiments."""
-        found = []
-        for at, fall in zip(self.local[:-1], self._falls, strict=True):
-            found += [at + 2, at + 3] if fall else [at + 2]
-        return np.array(found, dtype=np.int64)
+        found = [
+            np.arange(at + 2, at + m)
+            for at, m in zip(self.local, self.binned.own_sizes, strict=False)
+        ]
+        return np.concatenate(found).astype(np.int64)
+
+    def switches_of(self, k: int, falling: bool) -> NDArray[np.int64]:
+        """Coordinates that move the switches up, or down, of experiment ``k``."""
+        moves = {
+            self.local[k] + 2 + int(j)
+            for j, s in zip(self.binned.moved_by(k), self.binned.bins[k].switches, strict=True)
+            if (s.height < 0.0) == falling
+        }
+        return np.array(sorted(moves), dtype=np.int64)
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
@@ -304,10 +363,9 @@ class CoordinatePriors:
     def start_from(self, old: CoordinatePriors, fitted: FloatArray) -> FloatArray:
         """Coordinates from a fit ``fitted`` (n,) of those of ``old``, which has one part less."""
         x = self.start(fitted, {})  # the shared ones; the local ones follow another layout
-        n_shared, n_own = len(old.shared), len(old.own)
-        x[SHARED : SHARED + n_shared] = fitted[SHARED : SHARED + n_shared]
-        for k, e in enumerate(self.binned.campaign):
-            m = 4 if e.has_fall else 3
+        first, n_shared, n_own = self.first_strength, len(old.shared), len(old.own)
+        x[first : first + n_shared] = fitted[first : first + n_shared]
+        for k, m in enumerate(self.binned.own_sizes):
             here, there = self.local[k], old.local[k]
             x[here : here + m + n_own] = fitted[there : there + m + n_own]
         return x
@@ -317,9 +375,10 @@ class CoordinatePriors:
         base = self.start(np.zeros(self.size), chosen)
         made = x.copy()
         last = {s.name for s in self.strengths[-1]}
+        first = self.first_strength
         for i, s in enumerate(self.shared):
             if s.name in last:
-                made[SHARED + i] = base[SHARED + i]
+                made[first + i] = base[first + i]
         n = len(self.own)
         for end, (i, s) in itertools.product(self.local[1:], enumerate(self.own)):
             if s.name in last:

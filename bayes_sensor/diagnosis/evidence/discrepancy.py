@@ -39,6 +39,7 @@ from scipy.linalg import block_diag
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
+from bayes_sensor.diagnosis.data.bins import ExperimentBins
 from bayes_sensor.diagnosis.evidence.refit import Refit
 
 OWN = 0.1
@@ -68,6 +69,8 @@ READOUT_LENGTHS = (0.05, 0.2)
 """of the median step height"""
 DRIFT_SECONDS = 8.0
 GAIN_SECONDS = (8.0, 2.0)
+USUAL_SECONDS = 120.0
+"""length of a record that these are for"""
 VOLT_SHARES = (0.0005, 0.0015, 0.005, 0.015)
 """of the median step height: 1 to 30 mV for a 2 V step"""
 
@@ -167,7 +170,8 @@ class _Weight:
 
 def _spreads(binned: BinnedCampaign) -> dict[str, tuple[_Weight, _Spread]]:
     """Weights and spreads of what comes again in every experiment, by name."""
-    flow = _standardised([e.total_flow for e in binned.campaign])
+    known = binned.campaign.flows_known
+    flow = _standardised([e.total_flow if known else 1.0 for e in binned.campaign])
     concentration = _standardised([e.concentration for e in binned.campaign])
     if len(flow) == 1:
         return {"": (_Weight(1.0, 1.0), _Spread(flow, 0.0))}
@@ -197,7 +201,10 @@ def make_discrepancies(binned: BinnedCampaign, base: Refit) -> list[Discrepancy]
 
     Where that fit has effects already, only those with a weight beside an effect.
     """
-    beta = [abs(float(base.x[base.coords.local[k] + 1])) for k in range(len(binned.campaign))]
+    high = binned.input_height
+    beta = [
+        abs(float(base.x[base.coords.local[k] + 1])) * high for k in range(len(binned.campaign))
+    ]
     spreads = _spreads(binned)
     usual = spreads[""][1]
     made: list[Discrepancy] = []
@@ -229,9 +236,11 @@ def _wandering(binned: BinnedCampaign, base: Refit) -> dict[str, tuple[_Weight, 
     means = _means(binned, base)
     volts = [np.full(len(m), binned.signal_scale) for m in means]
     above = [m - base.x[base.coords.local[k]] for k, m in enumerate(means)]
-    slow, fast = GAIN_SECONDS
+    drift, (slow, fast) = DRIFT_SECONDS, GAIN_SECONDS
+    if binned.chain is not None:  # records may last for seconds or for days
+        drift, slow, fast = (x * binned.duration / USUAL_SECONDS for x in (drift, slow, fast))
     return {
-        "drift": (_Weight(0.12, 0.02), _part(binned, at, volts, DRIFT_SECONDS)),
+        "drift": (_Weight(0.12, 0.02), _part(binned, at, volts, drift)),
         f"gain {slow:g} s": (_Weight(0.04, 0.04), _part(binned, at, above, slow)),
         f"gain {fast:g} s": (_Weight(0.04, 0.01), _part(binned, at, above, fast)),
     }
@@ -323,8 +332,7 @@ def _sides(binned: BinnedCampaign) -> tuple[bool, ...]:
 def _after_a_switch(binned: BinnedCampaign, beta: list[float]) -> list[FloatArray]:
     """V (n_bins,) of every experiment: the step's height, negative at the fall."""
     return [
-        np.where(b.since > 0.0, np.where(b.falling, -v, v), 0.0)
-        for b, v in zip(binned.bins, beta, strict=True)
+        np.where(b.since > 0.0, b.heights * v, 0.0) for b, v in zip(binned.bins, beta, strict=True)
     ]
 
 
@@ -332,8 +340,11 @@ def _herald_parts(binned: BinnedCampaign, beta: list[float]) -> Parts:
     blocks = []
     for falling in _sides(binned):
         since, volts = [], []
-        for b, size, setting in zip(binned.bins, beta, binned.settings, strict=True):
-            at = (b.centre - (setting.tf if falling else setting.t0)) / binned.time_scale
+        for b, size in zip(binned.bins, beta, strict=True):
+            switches = [s.at for s in b.switches if (s.height < 0.0) == falling]
+            away = np.subtract.outer(b.centre, switches or [float(b.experiment.t[-1])])
+            nearest = np.argmin(np.abs(away), axis=1)
+            at = away[np.arange(len(away)), nearest] / binned.time_scale
             near = (at > HERALD[0]) & (at < HERALD[1])
             since.append(np.clip(at, *HERALD))
             volts.append(np.where(near, size, 0.0))
@@ -370,20 +381,29 @@ def _log_time(since: FloatArray, scale: float) -> FloatArray:
 
 def _switching_parts(binned: BinnedCampaign) -> Parts:
     blocks = []
-    for command, falling in (("commanded_on", False), ("commanded_off", True)):
-        times = [getattr(b.experiment, command) for b in binned.bins]
-        if any(t is None for t in times):
+    for falling in (False, True):
+        if not all(_commands(b, falling) for b in binned.bins):
             continue
-        since = [b.centre - t for b, t in zip(binned.bins, times, strict=True)]
-        until = [(b.experiment.commanded_off if not falling else None) for b in binned.bins]
-        volts = [
-            np.where(
-                (s > 0.0) & (b.centre < (np.inf if u is None else u)), binned.signal_scale, 0.0
+        since, volts = [], []
+        for b in binned.bins:
+            told = np.array(_commands(b, falling))
+            other = np.array([-np.inf, *_commands(b, not falling)])
+            before = [np.append(-np.inf, told), other]
+            last, against = (
+                np.max(np.where(x < b.centre[:, None], x, -np.inf), axis=1) for x in before
             )
-            for s, b, u in zip(since, binned.bins, until, strict=True)
-        ]
+            here = last > against
+            since.append(b.centre - np.where(here, last, told[0]))
+            volts.append(np.where(here, binned.signal_scale, 0.0))
         blocks.append(_part(binned, [_log_time(s, binned.time_scale) for s in since], volts, 1.0))
     return blocks
+
+
+def _commands(b: ExperimentBins, falling: bool) -> list[float]:
+    """s, when switches up, or down, were commanded; empty where that is not known."""
+    return [
+        s.commanded for s in b.switches if (s.height < 0.0) == falling and s.commanded is not None
+    ]
 
 
 def _part(

@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.binned_campaign import BinnedCampaign
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.effects_of_rig import Possible
 from bayes_sensor.diagnosis.evidence.block_least_squares import solved
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import (
     LEFT,
@@ -99,6 +100,13 @@ def fit_effect(
     begun = coords.start_from(base.coords, base.x)
     starts = [*starts, *most_promising_starts(coords, begun, base, parts[-1].form.grid)]
     begins = [coords.with_strengths(begun, start) for start in starts]
+    found: list[Refit] = []
+    if not coords.n_ordered:
+        begins += [coords.with_strengths(x, starts[0]) for x in coords.other_starts(begun)[1:]]
+        found = []
+        for x in begins:
+            found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
+        return to_convergence(min(found, key=lambda r: r.objective), enough)
     usual = float(binned.centre[0])
     now = float(begun[1]) - FASTER - float(begun[0])
     if abs(now - usual) >= UNUSUAL and not base.coords.parts:
@@ -111,7 +119,7 @@ def fit_effect(
         moved = begun.copy()
         moved[1:3] = binned.centre[1] - log(2.0), binned.centre[2]
         begins += [coords.with_strengths(coords.with_tau(moved, usual), start) for start in starts]
-    found: list[Refit] = []
+    found = []
     for x in begins:
         found.append(refit(coords, x, most_steps=most_steps, known=found, enough=enough))
     best = to_convergence(min(found, key=lambda r: r.objective), enough)
@@ -120,6 +128,9 @@ def fit_effect(
 
 def jump_is_seen(fitted: Refit, base: Refit) -> bool:
     """Whether the mean jumps with a switch, and that is well seen against the base."""
+    # what the profile holds is the ratio of two lags
+    if not fitted.coords.n_ordered:
+        return False
     return has_jump(fitted) and fitted.objective < base.objective - SEEN
 
 
@@ -246,9 +257,10 @@ def compare_hypotheses(
     add((), float(np.log(PRIOR_NONE)), [(base, 1.0)])
     rivals = embedded_rivals(
         [*catalogue.values(), *(part.effect for part in base.coords.parts)],
-        several_flows=len(binned.campaign) > 1 and not binned.campaign.same_flow,
-        has_fall=any(e.has_fall for e in binned.campaign),
-        commanded=any(e.commanded_on is not None for e in binned.campaign),
+        several_flows=binned.several_flows,
+        has_fall=any(s.height < 0.0 for b in binned.bins for s in b.switches),
+        commanded=any(s.commanded is not None for b in binned.bins for s in b.switches),
+        stages=Possible.of(binned.campaign).stages,
     )
     inside = WEIGHT if rivals else 0.0
     log_prior = float(np.log(PRIOR_UNLISTED * (1.0 - inside)))

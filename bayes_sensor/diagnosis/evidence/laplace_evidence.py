@@ -1,8 +1,8 @@
 """The evidence of a hypothesis: Laplace's approximation around its refit.
 
-The floor's level is itself an estimate, so that the residuals follow a t law with
-:data:`bayes_sensor.diagnosis.data.noise_floor.DOF` degrees of freedom in place of a Gaussian; it
-costs nothing where the floor is right and keeps nulls quiet where it is low.
+The floor's level is itself an estimate, so that the residuals follow a t law with its degrees of
+freedom (:attr:`~bayes_sensor.diagnosis.data.noise_floor.NoiseFloor.level_dof`) in place of a
+Gaussian; it costs nothing where the floor is right and keeps nulls quiet where it is low.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.evidence.block_least_squares import own_units, solved
 from bayes_sensor.diagnosis.evidence.discrepancy import Discrepancy
 from bayes_sensor.diagnosis.evidence.refit import Refit
@@ -84,7 +83,7 @@ class Linearised:
         slope = self.gram[1:, 0] - prior @ (x - coords.prior_centre)
         # a strength at its limit counts as free: what it promises beyond is then not credited
         free = np.ones(coords.size, dtype=bool)
-        free[0] = x[0] > 0.0 or slope[0] > 0.0
+        free[0] = not coords.at_limit(x) or slope[0] > 0.0
         normal = (self.gram[1:, 1:] + prior)[np.ix_(free, free)]
         step = np.zeros(coords.size)
         step[free] = solved(normal, slope[free])
@@ -167,42 +166,45 @@ def _laplace(
     normal, gradient = normal[:, None], gradient[:, None]
     square = square[:, None]
     scale = np.ones((len(square), len(priors)))
+    dof = refit.coords.binned.floor.level_dof
     for _ in range(3):
         matrix = scale[..., None, None] * normal + prior
         step = solved(matrix, (scale[..., None] * gradient - pulled)[..., None])[..., 0]
         bent = (normal @ step[..., None])[..., 0]
         misfit = square + np.sum(step * (bent - 2.0 * gradient), axis=-1)
         misfit = np.maximum(misfit, 1e-9)
-        scale = (DOF + n) / (DOF + misfit)
+        scale = (dof + n) / (dof + misfit)
     matrix = scale[..., None, None] * normal + prior
     moved = away + step
     unit = own_units(matrix)
     sign, log_matrix = np.linalg.slogdet(matrix * unit[..., :, None] * unit[..., None, :])
     log_matrix = log_matrix - 2.0 * np.sum(np.log(unit), axis=-1)
     sound = sign > 0
-    # the covariance of the first two coordinates: ln tau is the second minus the first where the
-    # sensor's is the shorter lag, else the second
-    minus = 1.0 - refit.coords.binned.sensor
-    first_two = np.broadcast_to(np.eye(len(away), 2), (*matrix.shape[:-1], 2))
-    covariance = solved(matrix, first_two)[..., :2, :]
+    # the covariance of two coordinates: ln tau is the second minus the first where the sensor's is
+    # the shorter lag, else the second
+    places, minus = refit.coords.places_of_tau, refit.coords.tau_is_difference
+    both = np.broadcast_to(np.eye(len(away))[:, places], (*matrix.shape[:-1], 2))
+    covariance = solved(matrix, both)[..., places, :]
     # that the shorter lag is below the longer by FASTER cuts the Gaussian
     inside = refit.x[0] + step[..., 0]
+    cut = 0.0
     with np.errstate(invalid="ignore"):  # of a matrix that is not positive definite
         sd = np.sqrt(covariance[..., 0, 0])
         spread = np.sqrt(
             minus * (covariance[..., 0, 0] - 2.0 * covariance[..., 0, 1]) + covariance[..., 1, 1]
         )
-        cut = log_ndtr(inside / sd)
+        if refit.coords.n_ordered:
+            cut = log_ndtr(inside / sd)
     drawn = np.sum(moved * (prior @ moved[..., None])[..., 0], axis=-1)
     log_z = (
-        -0.5 * (DOF + n) * np.log1p(misfit / DOF)
+        -0.5 * (dof + n) * np.log1p(misfit / dof)
         - 0.5 * drawn
         + 0.5 * log_prior_det
         - 0.5 * log_matrix
         - 0.5 * log_det[:, None]
         + cut
     )
-    log_tau = np.log(refit.tau) + step[..., 1] - minus * step[..., 0]
+    log_tau = np.log(refit.tau) + step[..., places[1]] - minus * step[..., places[0]]
     return _Laplace(
         np.where(sound, log_z, -np.inf),
         misfit,

@@ -21,6 +21,7 @@ from bayes_sensor.diagnosis.evidence.block_least_squares import (
     inverted,
     normal_equations,
 )
+from bayes_sensor.diagnosis.evidence.chain_coordinates import coordinates_of
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER
 from bayes_sensor.diagnosis.evidence.leverage import Leverage
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
@@ -86,7 +87,7 @@ class Refit:
     @cached_property
     def leverage(self) -> Leverage:
         """What the refit leaves of noise."""
-        prior, at_limit = self.coords.own_prior_matrix, bool(self.x[0] <= 0.0)
+        prior, at_limit = self.coords.own_prior_matrix, self.coords.at_limit(self.x)
         return Leverage.of(self.jacobian, prior, self.covariance, at_limit)
 
     @cached_property
@@ -120,24 +121,19 @@ class Refit:
         return found
 
     @property
-    def lags(self) -> tuple[float, float]:
-        """s, the shorter and the longer of tau and tau_v."""
-        return exp(max(self.x[1] - FASTER - self.x[0], -60.0)), exp(self.x[1])
-
-    @property
     def tau(self) -> float:
         """s"""
-        return self.lags[self.coords.binned.sensor]
+        return self.coords.tau_of(self.x)
+
+    @property
+    def lags(self) -> tuple[float, float]:
+        """s, the shorter and the longer of tau and tau_v of the published rig."""
+        return self.coords.lags_of(self.x)
 
     @property
     def tau_v(self) -> float:
-        """s"""
+        """s, of the published rig."""
         return self.lags[1 - self.coords.binned.sensor]
-
-    @property
-    def V(self) -> float:
-        """mL"""
-        return exp(self.x[2])
 
     def strength(self) -> dict[str, float | dict[str, float]]:
         """The fitted strengths by name; per-experiment ones as a mapping."""
@@ -282,16 +278,17 @@ def _stepped(
     moved = x.copy()
     moved[index] += np.clip(step, -most, most)
     moved = np.maximum(moved, coords.lowest)
-    before, by = x[1] - FASTER - x[0], (moved[1] - x[1]) - (moved[0] - x[0])
-    bent = exp(max(before, -60.0)) * (exp(by) - 1.0 - by)
     movable = np.zeros(coords.size, dtype=bool)
     movable[index] = True
-    moved[coords.switch_times[movable[coords.switch_times]]] -= bent
+    moved[coords.switch_times[movable[coords.switch_times]]] -= coords.bent(x, moved)
     return moved
 
 
 def base_starts(binned: BinnedCampaign, base: FloatArray) -> list[FloatArray]:
     """Starts of the fit without effects: tau moved over two decades, t0 and tf with it."""
-    coords, log_tau_v = Coordinates(binned), float(base[1])
+    coords = coordinates_of(binned)
+    if not coords.n_ordered:
+        return coords.other_starts(base)
+    log_tau_v = float(base[1])
     ratios = (min(ratio, exp(-FASTER) * 0.999) for ratio in (0.012, 0.07, 0.23, 0.58))
     return [base.copy(), *(coords.with_tau(base, log_tau_v + log(ratio)) for ratio in ratios)]

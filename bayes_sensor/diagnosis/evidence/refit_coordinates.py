@@ -44,9 +44,17 @@ class Coordinates(CoordinatePriors):
         p, own = self.rig(x, k)
         at = self.binned.bins[k].times if times is None else times
         if own is None:
-            return np.asarray(rig_mean(at, p, *coating_modes()))
+            return self._mean_of(at, p, k)
         form, values = own
         return self._own_mean(at, p, form, values, self.binned.settings[k])
+
+    def _mean_of(self, at: FloatArray, p: FloatArray, k: int) -> FloatArray:
+        """V (n_times,) of the kernel's parameters ``p`` of experiment ``k``."""
+        return np.asarray(rig_mean(at, p, *coating_modes()))
+
+    def _view(self, setting: Setting, p: FloatArray) -> RigView:
+        """The rig of an experiment, as an effect's own function of the mean sees it."""
+        return RigView(setting, p)
 
     def _own_mean(
         self,
@@ -58,7 +66,7 @@ class Coordinates(CoordinatePriors):
     ) -> FloatArray:
         here = replace(setting, t0=float(p[T0]), tf=min(float(p[TF]), setting.tf + 1e6))
 
-        view = RigView(here, p)
+        view = self._view(here, p)
         assert form.mean is not None
         try:
             made = np.asarray(form.mean(at, values, view), dtype=float)
@@ -150,6 +158,10 @@ class Coordinates(CoordinatePriors):
         bins, rigs = self.binned.all_bins, self.rigs(x)
         each = np.arange(len(rigs) + 1)
         return np.asarray(rig_means(*bins, rigs, each, *coating_modes())[:, 0])
+
+    def other_starts(self, x: FloatArray) -> list[FloatArray]:
+        """``x`` (n,); further starts are those of the order of two lags."""
+        return [x.copy()]
 
     def signature(self, x: FloatArray, here: FloatArray, chosen: Mapping[str, float]) -> FloatArray:
         """(n_bins in all,) whitened: what strengths of the last part change in means ``here`` V."""

@@ -11,12 +11,12 @@ effect is in the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
 from bayes_sensor.diagnosis.effects.rig_view import RigView
 from bayes_sensor.diagnosis.effects.setting import Setting
@@ -32,7 +32,8 @@ RATIO_SD = 0.25
 
 
 def _by_flow(setting: Setting) -> float:
-    return setting.experiment.total_flow / setting.reference_flow
+    flow = setting.experiment.total_flow
+    return flow / setting.reference_flow if np.isfinite(flow) else 1.0
 
 
 def _exponent(name: str) -> Strength:
@@ -107,11 +108,20 @@ def _pulse_strengths(s: Setting) -> tuple[Strength, ...]:
 
 def _pulsed(t: FloatArray, v: Mapping[str, float], rig: RigView) -> FloatArray:
     made = rig.mean(t)
-    e = rig.experiment
-    for at, size in ((e.commanded_on, v["pulse_on"]), (e.commanded_off, v["pulse_off"])):
-        if at is not None:
-            made = made + size * (t >= at) * np.exp(-np.maximum(t - at, 0.0) / v["pulse_time"])
+    for at, up in commanded_switches(rig.experiment):
+        size = v["pulse_on"] if up else v["pulse_off"]
+        made = made + size * (t >= at) * np.exp(-np.maximum(t - at, 0.0) / v["pulse_time"])
     return made
+
+
+def commanded_switches(e: Experiment) -> list[tuple[float, bool]]:
+    """s, when each switch of a record was commanded, and whether it leads up."""
+    if e.commands is not None:
+        return list(
+            zip(e.commands.times.tolist(), (e.commands.heights > 0.0).tolist(), strict=True)
+        )
+    told = ((e.commanded_on, True), (e.commanded_off, False))
+    return [(at, up) for at, up in told if at is not None]
 
 
 _PULSE = Form(
@@ -138,7 +148,7 @@ class Rival:
     sentence: str
     """in plain words; may hold ``{strength}``"""
     stage: str = ""
-    """whose lag it is of, ``valve`` or ``sensor``"""
+    """whose lag it is of, ``valve`` or ``sensor``; or what it needs: ``manifold``, ``command``"""
 
 
 RIVALS = {
@@ -150,6 +160,7 @@ RIVALS = {
     "volume by flow": Rival(
         (_power("flow_factor", "volume_by_flow"),),
         "the manifold's time constant follows another power of the flow ({strength})",
+        stage="manifold",
     ),
     "sensor by concentration": Rival(
         (_BY_CONCENTRATION,),
@@ -174,6 +185,7 @@ RIVALS = {
     "volume by direction": Rival(
         (_direction("emptying_ratio"),),
         "the manifold empties at another speed than it fills ({strength})",
+        stage="manifold",
     ),
     "sensor by direction": Rival(
         (_direction("release_ratio"),),
@@ -188,6 +200,7 @@ RIVALS = {
             _two_steps("as it goes", "late_fall"),
         ),
         "a part of the response comes later than the rest ({strength})",
+        stage="command",
     ),
     "pulse at commands": Rival(
         (_PULSE,), "a pulse that fades follows the valve's commands ({strength})"
@@ -196,13 +209,20 @@ RIVALS = {
 
 
 def embedded_rivals(
-    effects: Iterable[Effect], several_flows: bool, has_fall: bool, commanded: bool
+    effects: Iterable[Effect],
+    several_flows: bool,
+    has_fall: bool,
+    commanded: bool,
+    stages: Collection[str] = ("valve", "manifold", "sensor", "command"),
 ) -> list[Effect]:
-    """The rivals that a campaign can have and that none of the ``effects`` is."""
+    """The rivals that a campaign can have and that none of the ``effects`` is.
+
+    ``stages``: what its rig has, :class:`~bayes_sensor.diagnosis.effects.effects_of_rig.Possible`.
+    """
     known = {name for effect in effects for name in effect.names_rivals}
     found = []
     for name, rival in RIVALS.items():
-        if name in known:
+        if name in known or (rival.stage and rival.stage not in stages):
             continue
         if not several_flows and any(w in name for w in ("flow", "concentration", "experiment")):
             continue
@@ -214,7 +234,7 @@ def embedded_rivals(
             Effect(
                 name=name,
                 family="unlisted",
-                stage=rival.stage,
+                stage=rival.stage if rival.stage in ("valve", "sensor") else "",
                 sentence=rival.sentence,
                 forms=rival.forms,
                 plausible={},

@@ -55,7 +55,10 @@ def look_for_signals(samples: Samples, catalogue: Mapping[str, Effect]) -> list[
     """
     of_effects = (e.on_noise.signal for e in catalogue.values() if e.on_noise)
     own = [s for s in of_effects if s is not None and s not in SIGNALS]
+    even = all(e.regular for e in samples.campaign)
     for signal in (*SIGNALS, *own):
+        if signal.by_frequency and not even:
+            continue
         if signal.despite_rounding or not samples.rounding_hides_the_noise:
             found = signal.look(samples)
             samples = replace(samples, found=(*samples.found, *found))

@@ -104,4 +104,6 @@ def _look(samples: Samples) -> list[Finding]:
     return look_for_bursts(samples.campaign, samples.residuals, samples.deviations, mains)
 
 
-SIGNAL = Signal("bursts", 0.01, {"bursts_Hz": "Hz"}, _words, _look, spares_means_from_hz=0.0)
+SIGNAL = Signal(
+    "bursts", 0.01, {"bursts_Hz": "Hz"}, _words, _look, spares_means_from_hz=0.0, by_frequency=True
+)

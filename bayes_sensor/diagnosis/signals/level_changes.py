@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.diagnosis.data.bins import ExperimentBins
-from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.signals.events import of_places, surprises
 from bayes_sensor.diagnosis.signals.signal import Finding, Place, Samples, Signal, moment
 
@@ -32,8 +31,8 @@ def look_for_level_changes(found: Refit, tail: float = np.inf) -> Finding:
     :mod:`~bayes_sensor.diagnosis.signals.local_misfit`; they are averaged over for each
     record, or for all together.
     """
-    dof = min(DOF, tail)
     binned, coords = found.coords.binned, found.coords
+    dof = min(binned.floor.level_dof, tail)
     covariance = found.covariance
     places: list[dict[Hashable, float]] = []
     clearest = []
@@ -62,21 +61,26 @@ def _edges(b: ExperimentBins) -> list[tuple[str, int]]:
 
     After the last bin the record's end, ``("end", 0)``.
     """
-    rise, fall = int(np.argmax(b.since >= 0.0)), int(np.argmax(b.falling))
+    number = np.maximum(b.last_switch, 0)
+    first = np.searchsorted(b.last_switch, number)
     begins = [
-        ("fall", i - fall) if down else ("rise", i - rise) for i, down in enumerate(b.falling)
+        (f"switch {j}", i - int(at)) for i, (j, at) in enumerate(zip(number, first, strict=True))
     ]
     return [*begins, ("end", 0)]
 
 
 def level_changes(falling: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before."""
+    """(n_bins, m) ones where a change lasts, and (m, 2) the bins it begins with and ends before.
+
+    A change lasts for a while, until a later step down, or for good.
+    """
     n = len(falling)
-    fall = int(np.argmax(falling)) if np.any(falling) else n
+    falls = np.flatnonzero(np.diff(falling.astype(int), prepend=0) > 0)
+    ends = np.append(falls, n)
     spans = {
-        (i, j)
+        (i, int(j))
         for i in range(1, n)
-        for j in (*(i + m for m in CHANGE_LENGTHS), fall, n)
+        for j in (*(i + m for m in CHANGE_LENGTHS), ends[np.searchsorted(ends, i, side="right")], n)
         if i < j <= n
     }
     ordered = np.array(sorted(spans), dtype=np.int64)

@@ -42,6 +42,6 @@ def _look(samples: Samples) -> list[Finding]:
 
 SIGNAL = Signal(
     "line", 0.02, {"line_V": "V", "line_Hz": "Hz"}, _words, _look,
-    spares_means_from_hz=FASTER_THAN_BINS,
+    spares_means_from_hz=FASTER_THAN_BINS, by_frequency=True,
 )  # fmt: skip
 LINES = LineSearch(SIGNAL, "line", slowest=LOWEST_LINE, at_half_rate=True)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.diagnosis.data.noise_floor import DOF
 from bayes_sensor.diagnosis.data.quiet_stretches import QuietSpans
 from bayes_sensor.diagnosis.signals.events import (
     BUMP_SPAN,
@@ -82,15 +81,16 @@ def find_runs_of_bins(found: Refit, tail: float) -> Finding:
     wider against usual, the usual with the floor's degrees of freedom, or with those of the noise's
     own ``tail``; runs are averaged over for each switch, or for all together.
     """
-    dof = min(DOF, tail)
     binned = found.coords.binned
+    dof = min(binned.floor.level_dof, tail)
     places: list[dict[Hashable, float]] = []
     clearest, since = [], []
     for k, (rows, b) in enumerate(zip(binned.rows, binned.bins, strict=True)):
         z = found.residual[rows]
-        for falling in (False, True):
+        number = np.maximum(b.last_switch, 0)
+        for switch in range(len(b.switches)):
             here = np.flatnonzero(
-                (b.falling == falling)
+                (number == switch)
                 & (b.since > SPAN[0] * binned.time_scale)
                 & (b.since < SPAN[1] * binned.time_scale)
             )
@@ -152,7 +152,7 @@ def find_short_bumps(
                 square = (bumps.heights[here] / usual[k]) ** 2
                 # blocks are counted from the switch: the same number is the same time after it
                 kinds = [(width, int(n)) for n in np.rint(since[here] / bumps.step)]
-                values = surprises(square, min(dof, tail, DOF))
+                values = surprises(square, min(dof, tail, binned.floor.level_dof))
                 places.setdefault((k, switch), {}).update(zip(kinds, values, strict=True))
                 at = int(np.argmax(square))
                 place = Place(k, float(bumps.middles[here][at]), float(square[at]))
@@ -205,7 +205,8 @@ def _usual(
         some = {
             k: np.concatenate([
                 b.heights[(b.middles - b.reach >= low) & (b.middles + b.reach <= high)]
-                for i, (low, high) in enumerate(q.spans) if (i == 1) == plateau
+                for (low, high), on_plateau in zip(q.spans, q.high, strict=False)
+                if on_plateau == plateau
             ] or [np.empty(0)])
             for k, (b, q) in enumerate(zip(made, quiet, strict=True))
         }  # fmt: skip

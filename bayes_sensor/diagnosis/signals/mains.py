@@ -52,6 +52,6 @@ def _look(samples: Samples) -> list[Finding]:
 
 SIGNAL = Signal(
     "mains_pickup", 0.03, {"mains_V": "V", "mains_Hz": "Hz"}, _words, _look, listed=True,
-    if_not_listed=_as_a_line,
+    if_not_listed=_as_a_line, by_frequency=True,
 )  # fmt: skip
 SEARCH = LineSearch(SIGNAL, "mains", of_the_mains=True, slowest=LOWEST_LINE)

@@ -266,4 +266,4 @@ def _look(samples: Samples) -> list[Finding]:
     return [look_for_ringing(samples.campaign, samples.residuals, samples.quiet)]
 
 
-SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words, _look)
+SIGNAL = Signal("ringing", 0.01, {"ringing_Hz": "Hz"}, _words, _look, by_frequency=True)

@@ -84,6 +84,8 @@ class Signal:
     """the phase of all records that it is in, where it is in one only"""
     sets_in: bool = False
     """whether its places are moments from which something lasts"""
+    by_frequency: bool = False
+    """whether it is looked for in spectra, which uneven sampling times do not have"""
     despite_rounding: bool = False
     """whether it is looked for where the converter's steps hide the noise, too"""
 

@@ -47,5 +47,5 @@ def _look(samples: Samples) -> list[Finding]:
     return look_for_slow_lines(samples.campaign, samples.residuals, samples.deviations)
 
 
-SIGNAL = Signal("swing", 0.02, {"swing_V": "V", "swing_Hz": "Hz"}, _words, _look)
+SIGNAL = Signal("swing", 0.02, {"swing_V": "V", "swing_Hz": "Hz"}, _words, _look, by_frequency=True)
 SLOW_LINES = LineSearch(SIGNAL, "swing", fastest=FASTEST_SWING, sloping=True)

@@ -174,5 +174,5 @@ def _look(samples: Samples) -> list[Finding]:
 
 SIGNAL = Signal(
     "passing", 0.02, {"passing_V": "V", "passing_Hz": "Hz"}, _words, _look,
-    spares_means_from_hz=FASTER_THAN_BINS,
+    spares_means_from_hz=FASTER_THAN_BINS, by_frequency=True,
 )  # fmt: skip

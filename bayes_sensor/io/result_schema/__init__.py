@@ -96,6 +96,7 @@ def check_together(
     ``name`` each.
     """
     known = {row["experiment"] for row in campaign["experiments"]}
+    known |= {name.rpartition(",")[0] for name in known}  # the record that several sensors share
     named = [each.name for archive in archives for each in archive]
     if fit := found.get("fit"):
         named += fit["parameters"]["experiments"]
