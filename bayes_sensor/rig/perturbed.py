@@ -120,7 +120,9 @@ FILTER_SECOND = _setting(
 FILTER_BUTTERWORTH = _setting(
     "filter_butterworth", 0.0, SENSOR, "s, 1/omega of a Butterworth low-pass of two poles there"
 )
-CURVATURE = _setting("curvature", 0.0, READOUT, "1/V, k in v + k v^2 + m v^3 with v = beta x3")
+CURVATURE = _setting(
+    "curvature", 0.0, READOUT, "1/V, k in v + k v (v - beta) + m v (v^2 - beta^2), v = beta x3"
+)
 CUBIC = _setting("cubic", 0.0, READOUT, "1/V^2, m in the same")
 DRIFT = _setting("drift", 0.0, READOUT, "V/s, slope of the baseline")
 DRIFT_CURVE = _setting("drift_curve", 0.0, READOUT, "V/s^2, bend of the baseline")
@@ -529,14 +531,15 @@ def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
 def read_volts(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -> FloatArray:
     # V at the times of a response x3, with a step of the baseline of ``step`` V
     y0, beta, middle, cubic = p[Y0], p[BETA], p[MIDDLE], p[CUBIC]
-    # towards the step: a signal upside down bends upside down
+    # towards the step: a signal upside down bends upside down.  The bend leaves both ends of the
+    # step where they are, so that beta stays the height of the plateau
     curvature = p[CURVATURE] if beta >= 0.0 else -p[CURVATURE]
     gain, gain_curve, gain_twist, of_all = p[GAIN], p[GAIN_CURVE], p[GAIN_TWIST], p[GAIN_OF_ALL]
     drift, drift_curve, drift_twist = p[DRIFT], p[DRIFT_CURVE], p[DRIFT_TWIST]
     volts = np.empty(len(times))
     for i in range(len(times)):
         v = beta * response[i]
-        v *= 1.0 + v * (curvature + cubic * v)
+        v *= 1.0 + (v - beta) * (curvature + cubic * (v + beta))
         since = times[i] - middle
         gained = since * (gain + since * (gain_curve + since * gain_twist))
         v += v * gained + y0 * (1.0 + of_all * gained)

@@ -207,7 +207,7 @@ def test_readout_terms_add_up():
     since = T - 30.0
     gain = 1 + 1e-3 * since + 2e-5 * since**2 - 4e-7 * since**3
     drift = 0.2 + 1e-3 * since + 1e-5 * since**2 + 3e-7 * since**3
-    wanted = v * (1 + 0.1 * v) * gain + drift + 0.05 * (T >= 40.0)
+    wanted = v * (1 + 0.1 * (v - 1.5)) * gain + drift + 0.05 * (T >= 40.0)
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 5e-5
 
 

@@ -1,8 +1,9 @@
 """The resonance's flank is curved: the voltage is not proportional to the concentration.
 
-With v = beta x3 the readout is ``v + k v^2``.  The steepest point of the flank is its inflexion,
-so that k depends on where the laser sits (:mod:`bayes_sensor.coating.readout`).  A shift that is
-not small beside the resonance's width also shows how the curvature changes: ``v + k v^2 + m v^3``.
+With v = beta x3 the readout is ``v + k v (v - beta)``: beta is the height of the whole step, with or
+without the bend.  The steepest point of the flank is its inflexion, so that k depends on where the
+laser sits (:mod:`bayes_sensor.coating.readout`).  A shift that is not small beside the resonance's
+width also shows how the curvature changes: ``v + k v (v - beta) + m v (v^2 - beta^2)``.
 """
 
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
@@ -12,7 +13,7 @@ from bayes_sensor.diagnosis.effects.setting import Setting
 def _square(s: Setting) -> tuple[Strength, ...]:
     return (
         Strength("curvature", "1/V", "normal", 0.0, 0.06 / s.signal_scale,
-                 limits=(-0.4 / s.signal_scale, 2.0 / s.signal_scale), scaled=True),
+                 limits=(-0.9 / s.signal_scale, 0.9 / s.signal_scale), scaled=True),
     )  # fmt: skip
 
 
