@@ -143,7 +143,7 @@ def diagnose_gap(
     least = NAMED if binned.chain is None else NAMED_ELSEWHERE
     judgement = judge(probabilities, excess.p_value, least)
     best = explanation_of(comparison, judgement)
-    excess = distribute_excess(excess, comparison, findings, judgement.kind)
+    excess = distribute_excess(excess, comparison, samples, findings, judgement.kind)
 
     tell(0.6, "what is left")
     named = judgement.kind == "effect"

@@ -22,9 +22,15 @@ from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit
 from bayes_sensor.diagnosis.isolability import without_parts
-from bayes_sensor.diagnosis.location import CLEAR, ExcessMap, normalised_shares, parts_of_cells
+from bayes_sensor.diagnosis.location import (
+    CLEAR,
+    Cell,
+    ExcessMap,
+    normalised_shares,
+    parts_of_cells,
+)
 from bayes_sensor.diagnosis.probabilities import LEAST
-from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
+from bayes_sensor.diagnosis.signals.signal import FOUND, Finding, Samples
 
 REWEIGHTED, ROUGH = 30, 1e-3
 """steps of the least absolute deviations, and the share of the largest deviation that is one of 0:
@@ -34,12 +40,17 @@ UNMOVED = 0.5
 
 
 def distribute_excess(
-    located: ExcessMap, comparison: Comparison, findings: Sequence[Finding], kind: str
+    located: ExcessMap,
+    comparison: Comparison,
+    samples: Samples,
+    findings: Sequence[Finding],
+    kind: str,
 ) -> ExcessMap:
     """The map with the excess shared out by what explains it.
 
     By all explanations together where something moves the mean; by the findings in single samples
-    where the verdict is an unlisted cause; as measured otherwise.
+    where the verdict is an unlisted cause; as measured otherwise.  A line without a place of its
+    own lies where ``samples`` have its power.
     """
     binned = comparison.binned
     clear = located.p_value_of_size < CLEAR
@@ -58,7 +69,29 @@ def distribute_excess(
             on = [c for c in located.cells if c.phase == f.signal.phase]
             size = 2.0 * f.log_bayes_factor / sum(c.t_end_s - c.t_start_s for c in on)
             places += [(c.experiment, c.t_start_s, size * (c.t_end_s - c.t_start_s)) for c in on]
+    for hz in {f.frequency for f in found if f.frequency and not f.places}:
+        places += [
+            (names[k], cell.t_start_s, power)
+            for k in range(len(names))
+            for cell in located.cells
+            if cell.experiment == names[k]
+            for power in [_line_power(samples, k, cell, hz)]
+        ]
     return shared_by_findings(located, places)
+
+
+def _line_power(samples: Samples, k: int, cell: Cell, hz: float) -> float:
+    # V^2 s of the Fourier component at ``hz`` in a cell of experiment k, above what the noise has
+    # beside it, four native resolutions away; never negative
+    e = samples.campaign.experiments[k]
+    inside = slice(*np.searchsorted(e.t, (cell.t_start_s, cell.t_end_s)))
+    t, r = e.t[inside] - e.t[0], samples.residuals[k][inside]
+    if len(t) < 2:
+        return 0.0
+    beside = 4.0 / (t[-1] - t[0])
+    at = np.array([hz, hz + beside, max(hz - beside, 0.0)])
+    power = np.abs(np.exp(-2j * np.pi * at[:, None] * t) @ r) ** 2 / len(t)
+    return float(max(power[0] - power[1:].mean(), 0.0)) * e.interval
 
 
 def added_by(fitted: Refit, base: Refit) -> FloatArray:

@@ -33,6 +33,7 @@ import study_reproduction
 import study_restoration
 import study_sbc
 import study_unlisted
+import study_where
 
 STUDIES = {
     "published-bounds": study_published_bounds.run,
@@ -45,6 +46,7 @@ STUDIES = {
     "coating": study_coating.run,
     "gap": study_gap.run,
     "unlisted": study_unlisted.run,
+    "where": study_where.run,
     "calibration": study_calibration.run,
     "blind-check": study_blind_check.run,
     "order": study_order.run,

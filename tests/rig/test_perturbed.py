@@ -204,8 +204,8 @@ def test_readout_terms_add_up():
                    gain_drift=1e-3, gain_curve=2e-5, gain_twist=-4e-7, curvature=0.1)  # fmt: skip
     p[3], p[4] = 0.2, 1.5
     v = 1.5 * cascade_response(T, [0.8577, 0.7, 0.0481], T0, TF)
-    since = T - 30.0
-    gain = 1 + 1e-3 * since + 2e-5 * since**2 - 4e-7 * since**3
+    opened, since = T - T0, T - 30.0
+    gain = 1 + 1e-3 * opened + 2e-5 * opened**2 - 4e-7 * opened**3
     drift = 0.2 + 1e-3 * since + 1e-5 * since**2 + 3e-7 * since**3
     wanted = v * (1 + 0.1 * (v - 1.5)) * gain + drift + 0.05 * (T >= 40.0)
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 5e-5
@@ -217,8 +217,9 @@ def test_a_fading_light_takes_the_baseline_with_it():
     p[3], p[4] = 0.2, 1.5
     steady = parameters(drift=0.0)
     steady[3], steady[4] = p[3], p[4]
-    since = T - 30.0
-    wanted = rig_mean(T, steady, *NO_MODES) * (1 + 1e-3 * since + 2e-5 * since**2) + 1e-3 * since
+    opened, since = T - T0, T - 30.0
+    gain = 1 + 1e-3 * opened + 2e-5 * opened**2
+    wanted = rig_mean(T, steady, *NO_MODES) * gain + 1e-3 * since
     assert np.max(np.abs(rig_mean(T, p, *NO_MODES) - wanted)) < 1e-12
 
 

@@ -1,4 +1,6 @@
-"""The sensitivity drifts: beta changes in time, ``beta (1 + g (t - middle))``, straight or bent.
+"""The sensitivity drifts: beta changes in time, ``beta (1 + g (t - t0))``, straight or bent.
+
+beta is the sensitivity when the gas begins to flow.
 
 Where the light fades, the whole voltage does, the baseline ``y0`` included.  A concentration that
 drifts while the gas is on does to a linear sensor what a drift of beta does.

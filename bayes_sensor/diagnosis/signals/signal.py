@@ -140,9 +140,14 @@ class Finding:
         return max(self.tails)
 
     @property
+    def frequency(self) -> float:
+        """Hz, of a line; 0 where it has none."""
+        return self.strength.get(f"{self.name}_Hz", 0.0)
+
+    @property
     def beside_the_mean(self) -> bool:
         """Whether it adds to the signal and leaves the means over bins alone."""
-        return self.strength.get(f"{self.name}_Hz", 0.0) >= self.signal.spares_means_from_hz
+        return self.frequency >= self.signal.spares_means_from_hz
 
     def sentence(self, names: Sequence[str], unit: str) -> str:
         """What is said of it; ``names`` of the experiments, ``unit`` of the signal."""
