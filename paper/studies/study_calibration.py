@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -124,14 +124,31 @@ def run(folder: Path, jobs: int, scheduler: str | None, progress: Callable[..., 
         for content in map(json.loads, found["told"].tolist())
         if content is not None
     ]
-    write(told)
-    write_tau([row for row in map(json.loads, found["tau"].tolist()) if row is not None])
+    taus = [row for row in map(json.loads, found["tau"].tolist()) if row is not None]
+    seen = np.array([row for row in taus if SEEN[0] <= row[0] <= SEEN[1]])
+    write(told, widening(seen))
+    write_tau(seen)
 
 
-def write_tau(rows: Sequence[Sequence[float]]) -> None:
+def widening(seen: np.ndarray) -> float:
+    """The factor on the spread of ln tau with which 95 % of the intervals hold tau.
+
+    ``seen`` (n, 6): d, tau, and both intervals of tau, that with a discrepancy widened by the map's
+    factor.  The quantile is that of split conformal prediction (Vovk et al. 2005), for campaigns
+    like these.
+    """
+    tau, low, high = np.log(seen[:, 1:4]).T
+    needed = calibration().tau_widening * np.abs(tau - 0.5 * (low + high)) / (0.5 * (high - low))
+    at = min(int(np.ceil(0.95 * (len(needed) + 1))), len(needed)) - 1
+    return max(float(np.sort(needed)[at]), 1.0)
+
+
+def write_tau(seen: np.ndarray) -> None:
     """How often both intervals of tau hold it, where a cause is not listed and clearly seen."""
-    seen = np.array([row for row in rows if SEEN[0] <= row[0] <= SEEN[1]])
     d, tau, low, high, plain_low, plain_high = seen.T
+    middle, half = np.sqrt(low * high), np.sqrt(high / low)
+    half = half ** (widening(seen) / calibration().tau_widening)
+    low, high = middle / half, middle * half
     table = []
     for name, ends in (("without", (plain_low, plain_high)), ("with", (low, high))):
         held = (ends[0] <= tau) & (tau <= ends[1])
@@ -153,11 +170,10 @@ def wilson(k: int, n: int) -> tuple[float, float]:
     return float(centre - half / (n + z * z)), float(centre + half / (n + z * z))
 
 
-def write(told: Sequence[Told]) -> None:
+def write(told: Sequence[Told], tau_widening: float) -> None:
     """The map, and the table of its check."""
-    fitted = fitted_map(told)
+    fitted = replace(fitted_map(told), tau_widening=tau_widening)
     rounded = {f.name: float(f"{getattr(fitted, f.name):.2g}") for f in fields(fitted)}
-    rounded["tau_widening"] = calibration().tau_widening
     MAP.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
     halves = [told[::2], told[1::2]]
     crossed = [(fitted_map(a), b) for a, b in (halves, halves[::-1])]

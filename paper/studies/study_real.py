@@ -43,7 +43,10 @@ from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses, fit_e
 from bayes_sensor.diagnosis.evidence.laplace_evidence import Linearised
 from bayes_sensor.diagnosis.evidence.refit import Refit, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
-from bayes_sensor.diagnosis.verdict import combine, judge
+from bayes_sensor.diagnosis.location import locate
+from bayes_sensor.diagnosis.probabilities import combine
+from bayes_sensor.diagnosis.signals.effect_signatures import signatures
+from bayes_sensor.diagnosis.verdict import judge
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.rig.cascade import cascade_response
@@ -443,7 +446,8 @@ def study(name: str, campaign: Campaign, progress: Callable[[str], None]) -> Fou
     catalogue = {**CATALOGUE, effect.name: effect}
     comparison = compare_hypotheses(sketches[0], base, catalogue, pairs=False)
     combined = combine(comparison, [], catalogue)
-    kind, named, _, probability = judge(comparison, combined, catalogue)
+    excess = locate(sketches[0], base, signatures=signatures(base, catalogue))
+    kind, named, _, probability = judge(combined, excess.p_value)
     own = comparison.find(effect.name)
     inside = closure(base, fitted, comparison.discrepancies)
     progress("held out")

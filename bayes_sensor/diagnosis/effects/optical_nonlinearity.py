@@ -1,6 +1,6 @@
 """The resonance's flank is curved: the voltage is not proportional to the concentration.
 
-With v = beta x3 the readout is ``v + k v (v - beta)``: beta is the height of the whole step, with or
+With v = beta x3 the readout is ``v + k v (v - beta)``: beta is the height of the step, with or
 without the bend.  The steepest point of the flank is its inflexion, so that k depends on where the
 laser sits (:mod:`bayes_sensor.coating.readout`).  A shift that is not small beside the resonance's
 width also shows how the curvature changes: ``v + k v (v - beta) + m v (v^2 - beta^2)``.
