@@ -24,8 +24,8 @@ def notes_on(binned: BinnedCampaign) -> list[str]:
         )
     if len(campaign) == 1:
         notes.append(
-            "One experiment: nothing can be held out, and effects that depend on the flow look "
-            "like those that do not."
+            "One experiment: no data can be left out for a test, and effects that depend on the "
+            "flow cannot be told from those that do not."
         )
     elif binned.chain is None and campaign.same_flow:
         notes.append(

@@ -64,8 +64,8 @@ def draw_remaining_misfit(
     -------
     The posterior probability of something else beside the effect, from the prior odds that the
     verdict gives it, and :data:`DRAWS` draws of the squared misfit, in units of the noise, that it
-    would be after the refit.  What no discrepancy follows but stands out of the noise and of the
-    floor's own uncertainty is counted as it is.
+    would be after the refit.  Misfit that no discrepancy describes is added as measured, where it
+    exceeds the noise and the error of the noise floor.
     """
     rng = np.random.default_rng(seed)
     line = Linearised(fitted)

@@ -1,11 +1,12 @@
 """Distribute the excess over the cells: what the explanations themselves add, or findings show.
 
-A visible gap is a small part of the noise, so that what a cell has above it is mostly chance; and a
-joint fit smears a misfit over the phases, because the other parameters give way.  What an effect
-adds is told by the model with it less the same model without it, at the same parameters: a step
-after the pulse lies in the tail, a jump on the plateau on the plateau, whatever baseline and height
-have made of it.  A discrepancy adds its own mean.  Squares of what is added share out what each
-explanation takes of the excess, averaged over all of them by their probability.
+A visible gap is a small part of the noise, so the measured excess of one cell is mostly chance. A
+joint fit also spreads a misfit over the phases, because the other parameters move. So the excess
+is distributed by what the explanations add. What an effect adds is the model with the effect minus
+the model without it, at the same parameters: a step after the pulse lies in the tail, and a jump
+on the plateau on the plateau. A discrepancy adds its own mean. Each explanation distributes what
+it takes of the excess in proportion to the square of what it adds; the result is the mean over all
+explanations, weighted by their probabilities.
 """
 
 from __future__ import annotations

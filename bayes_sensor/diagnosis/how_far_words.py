@@ -22,10 +22,10 @@ def how_far_lines(said: Mapping[str, Any]) -> list[str]:
 def _closed(kind: str, shrink: Mapping[str, Any]) -> str:
     fraction = shrink["fraction_closed"]
     if fraction is None:
-        return "closed: no fraction, since nothing is in excess or the gap is too small to divide"
+        return "closed: not given, because the gap is not clearly above the noise"
     nearest = "the nearest of the catalogue, " if kind == "unlisted" else ""
     if shrink["explanation"] == "none":
-        return "closed: nothing of it by any effect of the catalogue"
+        return "closed: no effect of the catalogue closes any of the gap"
     said = f"closed: {_share(shrink, 'fraction_closed')} of the gap with {nearest}"
     said += str(shrink["explanation"])
     if shrink["held_out_fraction_closed"] is not None:

@@ -24,7 +24,7 @@ def against_p_value(judgement: Judgement, p: float, probabilities: Probabilities
         elif p < CLEAR:
             said.append(
                 f"Noise alone would seldom leave as much ({p_words}), but no cause explains enough "
-                "of it to be likelier than that."
+                "of it to be more probable than none."
             )
         return said
     if p <= CLEAR:
@@ -38,8 +38,8 @@ def against_p_value(judgement: Judgement, p: float, probabilities: Probabilities
             f"{max(round(1.0 / p), 2)} campaigns ({p_words})."
         ]
     return [
-        f"The residual alone shows no more than noise ({p_words}): what speaks for it is that the "
-        "other parameters come nearer to their plausible values with it."
+        f"The residual alone shows no more than noise ({p_words}). The evidence for it is that "
+        "the other parameters come closer to their plausible values."
     ]
 
 

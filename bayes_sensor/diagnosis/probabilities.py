@@ -1,11 +1,11 @@
 """One probability vector over what may be wrong; everything that is stated is read from it.
 
-The evidences of the mean are looked at first: every hypothesis is a share of the posterior that
-looks like nothing, like one or two listed effects, or like something unlisted.  A cause too small
-to be seen counts as not there, so that *none* means: nothing is missing that this campaign could
-show.  The calibration map then says how often each look is what it seems, findings in single
-samples take their share for an unlisted cause, and effects of the noise are there or not whatever
-explains the mean.
+1. Each hypothesis on the mean is put into a class: no cause, listed effects, or an unlisted cause.
+   Its posterior probability is added to that class.  A cause too small to be seen counts as no
+   cause: *none* means that nothing is missing that this campaign could show.
+2. The calibration map corrects the classes: it knows how often each is mistaken for another.
+3. Findings in single samples raise the probability of an unlisted cause.
+4. Effects of the noise multiply the vector: they are there or not, whatever explains the mean.
 """
 
 from __future__ import annotations
@@ -121,8 +121,9 @@ def combine(
 def calibrated(seen: Sequence[Appearance], likeliest: tuple[str, ...]) -> dict[str, float]:
     """``none``, ``unlisted`` and every explanation of the mean, summing to 1.
 
-    What only looks like nothing or like something unlisted goes to the listed explanations in their
-    proportion, or to the ``likeliest`` where no other is left.
+    By the calibration map a part of what looks like no cause, or like an unlisted one, is due to
+    listed effects.  It is divided among them in proportion to their probabilities, or given to the
+    ``likeliest`` where none has any.
     """
     table = calibration()
     rows = {"none": 0.0, "unlisted": 0.0}

@@ -1,9 +1,9 @@
 """From probabilities to a verdict: three rules on the one vector.
 
-1. The likeliest row of the vector is named where each of its effects is there with more than
-   :data:`NAMED`, unless they cannot be told from others by their nature.
-2. Otherwise the likeliest is stated: that nothing moves the mean, a family, or an unlisted cause.
-3. Nothing is called unlisted where noise alone often leaves as much.
+1. The likeliest row of the vector is named if each of its effects has a probability above
+   :data:`NAMED`, unless other effects give the same response.
+2. Otherwise the likeliest of these is stated: nothing moves the mean, a family, an unlisted cause.
+3. Nothing is called unlisted if noise alone often leaves as much (:data:`OFTEN`).
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def family_words(
     sure = percent(probability)
     if probability < 0.5:
         one = (first or named[0]) if leads else f"one of {names}"
-        return f"No cause is likelier than not{place}; the likeliest is {one} ({sure})."
+        return f"No cause has a probability above one half{place}; the likeliest is {one} ({sure})."
     if leads and other:
         alike = other if other == OF_ANOTHER else f"{other}, whose response is the same"
         pair = first or f"{named[0]}, or {alike}"
@@ -272,8 +272,8 @@ def _nothing(found: Conclusion) -> list[str]:
         )
     lag = "tau" if found.comparison.binned.order_known else "the shorter lag"
     return [
-        f"{nothing} Effects that this campaign cannot see may still hide: with them {lag} "
-        f"could lie anywhere from {low} to {high} {unit}."
+        f"{nothing} Effects that this campaign cannot show may still be there: with them {lag} "
+        f"could be anywhere from {low} to {high} {unit}."
     ]
 
 
@@ -290,7 +290,7 @@ def _unlisted(found: Conclusion) -> list[str]:
         words = [
             f"{causes} would close {percent(found.closure.fraction)} of the gap{place}, yet "
             f"{best.leftover:.0f} standard deviations of misfit are left: the cause is not "
-            f"listed{sure}, or the noise is not what it seems."
+            f"listed{sure}, or the noise floor is wrong."
         ]
     elif found.probabilities.looks("none") > 0.5 and by_samples:
         words = [f"Single samples show a cause that is not listed{sure}."]
@@ -368,7 +368,7 @@ def form_words(comparison: Comparison, named: Sequence[str]) -> list[str]:
     instead = f" {others[0]} beside it" if others else " something else beside it"
     return [
         f"What {' and '.join(form.effects)} leaves, {100.0 * form.left:.0f} % of the gap's size, "
-        f"may be{instead}, or no more than a form that is not quite the catalogue's."
+        f"may be{instead}, or the effect's true form differs a little from the catalogue's."
     ]
 
 
@@ -390,7 +390,7 @@ def _with_doubts(said: str, kind: str, fit: Fit, campaign: Campaign) -> str:
     unseen = "No step is seen beyond what the model misses, in any experiment"
     if kind == "none":
         return f"{unseen}: whether anything is missing cannot be told."
-    return f"{unseen}, so what follows says little. {said}"
+    return f"{unseen}, so do not rely on what follows. {said}"
 
 
 def second_words(
@@ -420,10 +420,10 @@ def undecided_words(place: str, combined: Probabilities) -> str:
         each = ", ".join(f"{f} {100.0 * combined.families[f]:.0f} %" for f in likely)
         return (
             f"Something is missing{place}, but which is not clear: an effect of the family is "
-            f"likely ({each}), and so nearly is that a cause outside the catalogue has a part in "
-            f"it ({100.0 * combined.unlisted:.0f} %)."
+            f"likely ({each}), but a cause outside the catalogue may have a part in it "
+            f"({100.0 * combined.unlisted:.0f} %)."
         )
     return (
-        f"Something may be missing{place}, but neither that nothing is, nor any family of "
-        "effects, nor an unlisted cause is likelier than not."
+        f"Something may be missing{place}. No answer (no cause, a family of effects, an unlisted "
+        "cause) has a probability above one half."
     )

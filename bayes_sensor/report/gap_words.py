@@ -33,8 +33,8 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
     if verdict["kind"] == "none" and low is not None and high is not None:
         upper = f"{number(1e3 * high, 2)} ms"
-        reach = f"reach {upper}" if is_limit else f"lie from {number(1e3 * low, 2)} to {upper}"
-        words = re.sub(r"(tau could) lie anywhere from \S+ to \S+ m?s\b", rf"\1 {reach}", words)
+        reach = f"reach {upper}" if is_limit else f"be from {number(1e3 * low, 2)} to {upper}"
+        words = re.sub(r"(tau could) be anywhere from \S+ to \S+ m?s\b", rf"\1 {reach}", words)
     return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
 
 

@@ -229,7 +229,7 @@ def test_nothing_missing_leaves_a_range_of_the_shorter_lag() -> None:
     fit = fit_least_squares(campaign, seed=1, euler=False, swarms=1)
     gap = diagnose_gap(campaign, fit, bootstrap=0, hidden=False, separate=False)
     assert gap.verdict.kind == "none"
-    assert "with them the shorter lag could lie anywhere from" in gap.verdict.sentence
+    assert "with them the shorter lag could be anywhere from" in gap.verdict.sentence
 
 
 def test_a_dependence_without_a_name_is_of_a_lag_by_its_size() -> None:

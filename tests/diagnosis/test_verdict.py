@@ -91,7 +91,7 @@ def test_an_effect_of_the_noise_is_there_whatever_explains_the_mean() -> None:
 @pytest.mark.parametrize(
     ("probability", "leading", "other", "said"),
     [
-        (0.45, 0.4, "", "No cause is likelier than not in the rise; the likeliest is a (45 %)."),
+        (0.45, 0.4, "", "above one half in the rise; the likeliest is a (45 %)."),
         (0.45, 0.2, "", "in the rise; the likeliest is one of a, B (45 %)."),
         (0.8, 0.7, "", "One of a, B explains the gap in the rise (80 %), most likely a."),
         (0.8, 0.7, "b", "a, or b, whose response is the same, explains the gap in the rise (80 %)"),

@@ -288,12 +288,12 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
     unsaid = {**verdict, "sentence": "The cause is flow_settling."}
     told = facts(replace(saved, gap={**found, "verdict": unsaid}))
     assert "With the best explanation in the model 97 % of the gap closes." in told["Model right?"]
-    none = {"sentence": "Nothing. With them tau could lie anywhere from 6.8 to 240 ms.",
+    none = {"sentence": "Nothing. With them tau could be anywhere from 6.8 to 240 ms.",
             "effects": [], "kind": "none", "probability": 0.7}  # fmt: skip
     # beside a limit, the lower end of the envelope would contradict it
     told = facts(replace(saved, gap={**found, "verdict": none}))
     assert told["Model right?"] == "Nothing. With them τ could reach 240 ms."
-    assert gap_sentence({**found, "verdict": none}, False).endswith("could lie from 6.8 to 240 ms.")
+    assert gap_sentence({**found, "verdict": none}, False).endswith("could be from 6.8 to 240 ms.")
     bare = replace(saved, posterior=None, bounds=None, gap=None, residuals=None)
     assert first_page(bare, []).tau == "" and facts(bare) == {}
 
