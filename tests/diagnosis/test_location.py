@@ -331,5 +331,5 @@ def test_what_noise_would_seldom_leave_is_told_where_nothing_is_stated() -> None
         ))  # fmt: skip
 
     assert said(0.4).startswith("Nothing is missing that this campaign could show (59 %). Effects")
-    assert said(0.4).endswith("lie anywhere from 12 to 200 ms.")
+    assert said(0.4).endswith("be anywhere from 12 to 200 ms.")
     assert "Noise alone would seldom leave as much (p = 0.021)" in said(0.021)
