@@ -62,10 +62,11 @@ class Saved:
 
     @property
     def concentration(self) -> dict[str, float]:
-        """Test-gas fraction by experiment."""
+        """Test-gas fraction by experiment, of those whose flows are known."""
         return {
-            e["experiment"]: (e["concentration_percent"] or 100.0) / 100  # 1 where no flow is known
+            e["experiment"]: e["concentration_percent"] / 100
             for e in self.campaign["experiments"]
+            if e["concentration_percent"] is not None
         }
 
     @property
