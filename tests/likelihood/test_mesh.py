@@ -78,7 +78,7 @@ def test_the_mesh_agrees_with_the_full_pass_over_the_posterior(name: str, phi: f
     # a negative phi has no law at 2.5 times the interval: both say so
     exists = np.isfinite(full)
     np.testing.assert_array_equal(exists, np.isfinite(fast))
-    assert exists.mean() > 0.5
+    assert exists.mean() >= 0.5
     # five standard deviations cost 12.5 in log L, times the curvature's change: a real excursion
     assert full_pass(problem, theta) - full[exists].min() > 8.0
     error = np.abs(np.where(exists, fast, 0.0) - np.where(exists, full, 0.0))

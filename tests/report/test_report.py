@@ -557,8 +557,6 @@ def short_analyze(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str |
         monkeypatch.setitem(table, "analyze", ("fit", "residuals", "report"))
     options = ["--experiments", "1,4", "--duration", "15 s", "--interval", "20 ms", "--quiet"]
     assert run("simulate", "--out", tmp_path / "data", *options) == 0
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "report.html").write_text("of other results")
     campaign = tmp_path / "data" / "campaign.toml"
     return ["analyze", campaign, "--out", tmp_path / "out", "--quiet"]
 

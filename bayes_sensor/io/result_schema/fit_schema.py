@@ -72,7 +72,9 @@ Values = dict[Name, MaybeNum]
 
 
 def _of_experiments(parameters: Any) -> Any:
-    """Flat values, and ``experiments`` with those of each."""
+    """Flat values, ``experiments`` with those of each, and at most a ``signal_unit`` in words."""
+    if any(isinstance(v, str) and name != "signal_unit" for name, v in parameters.items()):
+        raise fail("numbers were expected, and text for signal_unit only")
     experiments = parameters.get("experiments")
     good = isinstance(experiments, dict) and all(isinstance(v, dict) for v in experiments.values())
     if not good or any(
@@ -84,7 +86,9 @@ def _of_experiments(parameters: Any) -> Any:
     return parameters
 
 
-Parameters = Annotated[dict[Name, MaybeNum | dict[Name, Values]], AfterValidator(_of_experiments)]
+Parameters = Annotated[
+    dict[Name, MaybeNum | Text | dict[Name, Values]], AfterValidator(_of_experiments)
+]
 
 
 class Swarms(TypedDict):
