@@ -44,6 +44,7 @@ NAMESAKES = {
         for file in (
             "analysis/job",
             "analysis/overrides",
+            "analysis/pick_up",
             "analysis/plots",
             "analysis/posterior_step",
             "analysis/run_steps",
@@ -53,7 +54,10 @@ NAMESAKES = {
             "cli/interruption",
             "cli/pipeline",
             "cli/plan_experiments",
+            "cli/stage_lines",
             "cli/summary_lines",
+            "io/record_archive",
+            "io/results",
         )
     },
     ("fleet/outcome.py", "posterior"): A_RESULT,

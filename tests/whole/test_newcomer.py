@@ -295,7 +295,7 @@ def test_a_simulation_never_replaces_a_measurement(
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     small = ["--experiments", "1", "--duration", "20 s", "--interval", "50 ms"]
     assert exit_code(["simulate", "--out", str(tmp_path), *small]) == 2
-    assert "that no simulation wrote" in capsys.readouterr().err
+    assert "that no run wrote" in capsys.readouterr().err
     assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == before
     trial = str(tmp_path / "trial")
     for seed in "12":  # its own it replaces
