@@ -34,11 +34,8 @@ def _sent(*given: Any) -> bytes:
     return packed(shortened("gap", diagnosed(*given)), known_objects("gap", given[0]))
 
 
-def _options(job: Job) -> dict[str, Any]:
-    return {k: v for k, v in job.options.items() if not k.startswith("with_")}
-
-
 def diagnosed(campaign: Campaign, fit: Fit, seed: int, options: dict[str, Any]) -> Gap:
+    """The gap; imported here, because the diagnosis takes long to import."""
     from bayes_sensor.diagnosis import diagnose_gap
 
     return diagnose_gap(campaign, fit, seed=seed, **options)
@@ -53,7 +50,7 @@ def run_gap(job: Job) -> None:
             if job.ahead is not None:
                 job.gap = job.ahead()
                 return
-            options = _options(job) | {"jobs": job.jobs, "progress": tell}
+            options = {**job.options, "jobs": job.jobs, "progress": tell}
             job.gap = diagnosed(job.problem.campaign, job.fit, job.seed, options)
     except CampaignError as error:
         if job.command != "analyze":
