@@ -400,7 +400,7 @@ def _add_response(
         cells.h[i] = t[i + 1] - t[i]
         half[i] = 0.5 * cells.h[i]
     filters = (p[FILTER], p[FILTER_SECOND] if p[FILTER] > 0.0 else 0.0)
-    n_filters = (filters[0] > 0.0) + (filters[1] > 0.0)
+    n_filters = int(filters[0] > 0.0) + int(filters[1] > 0.0)
     swings = p[FILTER_BUTTERWORTH] > 0.0
     if swings:
         n_filters = 1

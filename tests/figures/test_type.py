@@ -132,6 +132,8 @@ def studies(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Figure]]:
     import matplotlib.pyplot as plt
 
     monkeypatch.syspath_prepend(str(PAPER / "studies"))
+    for name in [n for n in sys.modules if n == "drawing" or n.startswith("study_")]:
+        monkeypatch.delitem(sys.modules, name)  # another test's, which save for good
     before = set(sys.modules)
     kept: dict[str, Figure] = {}
     with mpl.rc_context():
