@@ -10,7 +10,7 @@ from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.io.json_files import plain
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 
 def run_bounds(job: Job) -> None:
@@ -137,7 +137,7 @@ def _help(job: Job, theta: dict[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def save_bounds(job: Job, stage: Stage) -> None:
+def save_bounds(job: Job, stage: StagingFolder) -> None:
     """Write bounds.json and bounds.csv; where there are none, those of earlier are dropped."""
     if job.bounds is None:
         put_record(stage, "bounds", None, job.problem.campaign)

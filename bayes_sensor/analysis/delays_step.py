@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.posterior_step import saved_spreads
 from bayes_sensor.analysis.saved_records import put_record
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 
 def run_delays(job: Job) -> None:
@@ -17,7 +17,7 @@ def run_delays(job: Job) -> None:
         job.delays = regress_delays(job.problem, job.fit, job.posterior or saved_spreads(job))
 
 
-def save_delays(job: Job, stage: Stage) -> None:
+def save_delays(job: Job, stage: StagingFolder) -> None:
     """Write delays.json; where there are no delays, that of an earlier run is dropped."""
     if job.delays is None:
         put_record(stage, "delays", None, job.problem.campaign)

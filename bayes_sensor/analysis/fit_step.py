@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from bayes_sensor.analysis.job import SAVES, Job
 from bayes_sensor.analysis.saved_records import put_record
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 
 def run_fit(job: Job) -> None:
@@ -37,7 +37,7 @@ def run_residuals(job: Job) -> None:
         job.residuals = diagnose_residuals(job.problem, job.fit)
 
 
-def save_fit(job: Job, stage: Stage) -> None:
+def save_fit(job: Job, stage: StagingFolder) -> None:
     """Write fit.json and the samples and curves of its pictures."""
     from bayes_sensor.fit.samples import make_samples, save_samples
     from bayes_sensor.fit.traces import make_traces, save_traces
@@ -51,7 +51,7 @@ def save_fit(job: Job, stage: Stage) -> None:
     put_record(stage, "fit", job.fit, job.problem.campaign)
 
 
-def save_residuals(job: Job, stage: Stage) -> None:
+def save_residuals(job: Job, stage: StagingFolder) -> None:
     """Write residuals.json."""
     stage.json("residuals.json", job.residuals.to_json())
     put_record(stage, "residuals", job.residuals, job.problem.campaign)

@@ -9,7 +9,7 @@ from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.saved_records import known_objects, put_record, shortened
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.csv_text import csv_text
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 from bayes_sensor.workers import beside, packed, unpacked
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def run_gap(job: Job) -> None:
         job.no_gap = str(error)  # records too short for it; what was found before is kept
 
 
-def save_gap(job: Job, stage: Stage) -> None:
+def save_gap(job: Job, stage: StagingFolder) -> None:
     """Write gap.json with its tables; where there is none, that of an earlier run is dropped."""
     put_record(stage, "gap", job.gap, job.problem.campaign)
     if job.gap is None:

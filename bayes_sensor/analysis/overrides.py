@@ -74,13 +74,13 @@ _EXAMPLES = {
 }
 
 
-class Part(BaseModel):
+class OverrideTable(BaseModel):
     """A table of the file: unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class NoisePart(Part):
+class NoisePart(OverrideTable):
     """The noise law."""
 
     variance: Literal["concentration", "signal", "constant", "levels"] = "concentration"
@@ -88,7 +88,7 @@ class NoisePart(Part):
     per_experiment: bool = False
 
 
-class FitPart(Part):
+class FitPart(OverrideTable):
     """The least-squares fit."""
 
     swarms: int = Field(default=3, ge=1, le=100)
@@ -118,10 +118,12 @@ def _sampler_keys() -> dict[str, Any]:
     return keys
 
 
-PosteriorPart: type[Part] = create_model("PosteriorPart", __base__=Part, **_sampler_keys())
+PosteriorPart: type[OverrideTable] = create_model(
+    "PosteriorPart", __base__=OverrideTable, **_sampler_keys()
+)
 
 
-class BoundsPart(Part):
+class BoundsPart(OverrideTable):
     """The comparison of bounds."""
 
     methods: list[str] | None = None
@@ -149,7 +151,7 @@ PriorText = Annotated[Any, BeforeValidator(_prior_text)]
 FixedText = Annotated[Any, BeforeValidator(_fixed_text)]
 
 
-class Overrides(Part):
+class Overrides(OverrideTable):
     """All settings."""
 
     noise: NoisePart = Field(default_factory=NoisePart)

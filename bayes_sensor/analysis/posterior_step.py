@@ -9,7 +9,7 @@ from typing import Any
 from bayes_sensor.analysis.job import Job, Progress
 from bayes_sensor.analysis.response_time_record import response_time_record
 from bayes_sensor.analysis.saved_records import put_record
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 LOG = logging.getLogger(__name__)
 
@@ -133,7 +133,7 @@ def _with_effects_asked(job: Job) -> Any:
     return with_effects(job.problem, names, theta)
 
 
-def save_posterior(job: Job, stage: Stage) -> None:
+def save_posterior(job: Job, stage: StagingFolder) -> None:
     """Write posterior.json, posterior.nc, predictive.json and coating.json."""
     unit = {"signal_unit": job.problem.campaign.signal_unit}
     record = job.posterior.to_json()

@@ -27,8 +27,8 @@ from bayes_sensor.analysis.read_input import check_methods, read_input
 from bayes_sensor.analysis.saved_records import put_campaign
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import sha256
-from bayes_sensor.io.put_run import Clock, put_run
-from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.put_run import CommandClock, put_run
+from bayes_sensor.io.results import Results, StagingFolder
 from bayes_sensor.io.run_record import campaign_record, digest
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ TAKE: dict[str, Callable[[Job], None]] = {
     "gap": run_gap,
 }
 """what computes the result of a step"""
-SAVE: dict[str, Callable[[Job, Stage], None]] = {
+SAVE: dict[str, Callable[[Job, StagingFolder], None]] = {
     "fit": save_fit,
     "residuals": save_residuals,
     "posterior": save_posterior,
@@ -112,7 +112,7 @@ def run_steps(
     """
     from bayes_sensor.analysis.overrides import fit_bounds, make_problem
 
-    clock = Clock()
+    clock = CommandClock()
     # everything that can be wrong with the input is found before anything is written
     check_methods(overrides.bounds.methods, label)
     begin = time.perf_counter()
@@ -174,7 +174,7 @@ def run_steps(
 def write_results(
     job: Job,
     results: Results,
-    clock: Clock | None = None,
+    clock: CommandClock | None = None,
     files: Mapping[str, str] | None = None,
     command_line: Sequence[str] | None = None,
     notes: Callable[[], Sequence[str]] = tuple,
@@ -202,7 +202,7 @@ def write_results(
         put_run(
             stage,
             command,
-            clock or Clock(),
+            clock or CommandClock(),
             basis=job.basis or digest(record, job.overrides.basis()),
             seed=job.seed,
             settings=job.overrides.record(),

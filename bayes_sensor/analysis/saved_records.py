@@ -16,7 +16,7 @@ from typing import Any
 
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.io.record_archive import load_record, save_record
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 from bayes_sensor.io.untrusted import refused
 from bayes_sensor.likelihood.problem import Problem
 
@@ -52,13 +52,13 @@ def data_digest(campaign: Campaign) -> str:
     return digest.hexdigest()
 
 
-def put_campaign(stage: Stage, problem: Problem) -> None:
+def put_campaign(stage: StagingFolder, problem: Problem) -> None:
     """Put the campaign with its model, noise law and priors."""
     record = {"data": data_digest(problem.campaign), "record": problem}
     save_record(stage.path(file_of(CAMPAIGN)), record)
 
 
-def put_record(stage: Stage, part: str, record: Any, campaign: Campaign) -> None:
+def put_record(stage: StagingFolder, part: str, record: Any, campaign: Campaign) -> None:
     """Put a record; where there is none, or it holds a user's own code, drop that of earlier."""
     name = file_of(part)
     if record is not None:

@@ -1,10 +1,10 @@
 """How often the intervals of each bound method hold the truth, on simulated campaigns.
 
-Every campaign is simulated under a :class:`Setting`, fitted, sampled and bounded as a user's would
-be, always with the default noise law.  In some settings that law is wrong; the study counts the
-coverage that each method then has.  The campaigns are small (three of the published experiments at
-100 Hz for 27 s) and their noise is chosen so that tau^2 lies as many standard errors from zero as
-at the published rig.
+Every campaign is simulated under a :class:`CoverageSetting`, fitted, sampled and bounded as a
+user's would be, always with the default noise law.  In some settings that law is wrong; the study
+counts the coverage that each method then has.  The campaigns are small (three of the published
+experiments at 100 Hz for 27 s) and their noise is chosen so that tau^2 lies as many standard errors
+from zero as at the published rig.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ INTERVAL, DURATION, ON, OFF = 0.01, 27.0, 3.0, 15.0
 
 
 @dataclass(frozen=True)
-class Setting:
+class CoverageSetting:
     """One way to simulate the data."""
 
     words: str
@@ -60,15 +60,19 @@ class Setting:
     """tau_v after the valve was shut, over that after it was opened"""
 
 
-SETTINGS: dict[str, Setting] = {
-    "iid": Setting("iid noise of one size", 0.0, 0.014, 0.0),
-    "ar1_0.5": Setting("AR(1), phi = 0.5, variance grows with concentration", 0.5, 0.010, 0.016),
-    "ar1_0.9": Setting("AR(1), phi = 0.9, variance grows with concentration", 0.9, 0.010, 0.016),
-    "arma": Setting(
+SETTINGS: dict[str, CoverageSetting] = {
+    "iid": CoverageSetting("iid noise of one size", 0.0, 0.014, 0.0),
+    "ar1_0.5": CoverageSetting(
+        "AR(1), phi = 0.5, variance grows with concentration", 0.5, 0.010, 0.016
+    ),
+    "ar1_0.9": CoverageSetting(
+        "AR(1), phi = 0.9, variance grows with concentration", 0.9, 0.010, 0.016
+    ),
+    "arma": CoverageSetting(
         "ARMA(1, 1): half white, half AR(1) with phi = 0.9; variance grows with concentration",
         0.9, 0.010, 0.016, white=0.5,
     ),
-    "slow_closing": Setting(
+    "slow_closing": CoverageSetting(
         "as ar1_0.5, but the valve closes with a time constant 3 % longer, which no method knows",
         0.5, 0.010, 0.016, closing=1.03,
     ),
@@ -93,7 +97,9 @@ def small_design() -> tuple[Campaign, FloatArray]:
     )
 
 
-def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed: int) -> Campaign:
+def simulate_setting(
+    design: Campaign, theta: FloatArray, setting: CoverageSetting, seed: int
+) -> Campaign:
     """The design with data drawn under a setting; ``theta`` (n_mean,) holds the mean's truth.
 
     Rise and fall are exact cascade responses; where the valve closes more slowly the fall has its
@@ -129,7 +135,7 @@ def simulate_setting(design: Campaign, theta: FloatArray, setting: Setting, seed
 class BoundsStudy:
     """The task of the study: campaign number i simulated under one setting and bounded."""
 
-    setting: Setting
+    setting: CoverageSetting
     design: Campaign = field(default_factory=lambda: small_design()[0])
     theta: FloatArray = field(default_factory=lambda: small_design()[1])
     """(n_mean,) the truth, by name"""
@@ -285,8 +291,8 @@ def coverage_limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float
 
 
 def chosen_settings(
-    names: Sequence[str], settings: Mapping[str, Setting] = SETTINGS
-) -> dict[str, Setting]:
+    names: Sequence[str], settings: Mapping[str, CoverageSetting] = SETTINGS
+) -> dict[str, CoverageSetting]:
     """The settings of these names, all where there are none; CampaignError for an unknown one."""
     unknown = [name for name in names if name not in settings]
     if unknown:
@@ -298,7 +304,7 @@ def chosen_settings(
 
 def run_coverage(
     folder: str | Path,
-    settings: Mapping[str, Setting],
+    settings: Mapping[str, CoverageSetting],
     n_campaigns: int,
     methods: Sequence[str] | None = None,
     seed: int = 1,

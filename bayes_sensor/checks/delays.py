@@ -40,14 +40,14 @@ LEAST_LEFT = 4
 NORMAL95 = float(stats.norm.ppf(0.975))
 
 
-class Fitted(Protocol):
+class DelayFit(Protocol):
     """The parts of a fit that the regression needs."""
 
     theta_hat: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class RegressionLine:
     """One regression ``delay = intercept + slope/Q``; None where it cannot be computed."""
 
     names: list[str]
@@ -126,8 +126,8 @@ class Line:
 class Delays:
     """Regressions of start and end delay; ``end`` is None where no step down was recorded."""
 
-    start: Line
-    end: Line | None
+    start: RegressionLine
+    end: RegressionLine | None
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: both lines."""
@@ -147,7 +147,7 @@ class Delays:
         }
 
 
-def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = None) -> Delays:
+def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any = None) -> Delays:
     """Regressions of the delays t0 - commanded_on and tf - commanded_off on 1/Q, Q in L/s.
 
     Outliers are found in one pass over the regression on all experiments: externally studentised
@@ -166,7 +166,7 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     campaign = problem.campaign
     vector = problem.layout.flat(fit.theta_hat)
     everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)
-    lines: list[Line | None] = []
+    lines: list[RegressionLine | None] = []
     for kind, column in (("t0_s", 2), ("tf_s", 3)):
         names, x, y, positions = [], [], [], []
         recorded = False
@@ -197,7 +197,7 @@ def regress_delays(campaign: Campaign | Problem, fit: Fitted, posterior: Any = N
     return Delays(start, end)
 
 
-def _covariance_of_fit(problem: Problem, fit: Fitted, vector: FloatArray) -> FloatArray | None:
+def _covariance_of_fit(problem: Problem, fit: DelayFit, vector: FloatArray) -> FloatArray | None:
     """(n_theta, n_theta) inverse of the Fisher information at a fit; None where there is none."""
     if not isinstance(fit, Fit) or fit.cannot_tell or not fit.step_seen:
         return None
@@ -232,7 +232,7 @@ def regress_line(
     y: FloatArray,
     covariance: FloatArray | None = None,
     generalised: bool = False,
-) -> Line:
+) -> RegressionLine:
     """The regression of delays ``y`` (n,) s on inverse flows ``x`` (n,) s/L, and its outliers.
 
     ``covariance`` (n, n) s^2 of the errors of ``y``, as far as it is known; additional scatter
@@ -273,7 +273,7 @@ def regress_line(
             )
     summary = _summary(result)
     told = _with_shared_errors(summary, result, x, used, covariance)
-    return Line(
+    return RegressionLine(
         names=names,
         inverse_flow=x,
         delay=y,
@@ -307,9 +307,9 @@ def _cannot(names: Sequence[str], x: FloatArray) -> str:
     return ""
 
 
-def _empty(names: list[str], x: FloatArray, y: FloatArray, reason: str) -> Line:
+def _empty(names: list[str], x: FloatArray, y: FloatArray, reason: str) -> RegressionLine:
     used = np.ones(len(names), dtype=bool)
-    return Line(
+    return RegressionLine(
         names, x, y, used, None, None, None, None, None, None, [], {}, {}, None, None, None, None,
         reason,
     )  # fmt: skip

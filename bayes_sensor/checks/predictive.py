@@ -43,7 +43,7 @@ CHECK_WORDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class StatisticComparison:
     """One vector-valued statistic of the data against its replicates."""
 
     name: str
@@ -120,9 +120,9 @@ class PredictiveCheck:
 
     _repr_html_ = record_card
 
-    autocorrelation: Comparison
-    variance: Comparison
-    spectrum: Comparison
+    autocorrelation: StatisticComparison
+    variance: StatisticComparison
+    spectrum: StatisticComparison
     pit: Pit
     n_draws: int
     seed: int
@@ -345,7 +345,7 @@ def _one_step_ahead(z: FloatArray, e: Experiment, phi: float) -> FloatArray:
 
 def compare_statistic(
     name: str, x_name: str, x_unit: str, x: FloatArray, observed: FloatArray, replicated: FloatArray
-) -> Comparison:
+) -> StatisticComparison:
     """A statistic of the data (n_draws, n_x) beside that of as many replicates, point by point."""
     from scipy.special import stdtr
 
@@ -356,7 +356,7 @@ def compare_statistic(
     # estimated from n draws (hence Student's t with the predictive factor)
     p_values = 2.0 * stdtr(n - 1, -np.abs(z) / np.sqrt(1.0 + 1.0 / n))
     low, high = np.quantile(replicated, [0.025, 0.975], axis=0)
-    return Comparison(
+    return StatisticComparison(
         name, x_name, x_unit, x, observed.mean(axis=0), low, replicated.mean(axis=0), high, z,
         p_values, float(min(1.0, len(p_values) * p_values.min())),
     )  # fmt: skip

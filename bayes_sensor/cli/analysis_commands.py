@@ -16,10 +16,10 @@ from bayes_sensor.cli.application import app
 from bayes_sensor.cli.options import (
     DEFAULT_JOBS,
     CampaignFile,
+    CommandRun,
     Jobs,
     Quiet,
     Reported,
-    Run,
     Sampler,
     Sampling,
     Unused,
@@ -32,7 +32,7 @@ from bayes_sensor.cli.options import (
 )
 
 
-def _run(command: str, common: Run, **more: Any) -> None:
+def _run(command: str, common: CommandRun, **more: Any) -> None:
     from bayes_sensor.cli.pipeline import run_command
 
     given_to_all = asdict(common)
@@ -40,7 +40,7 @@ def _run(command: str, common: Run, **more: Any) -> None:
 
 
 @dataclass(frozen=True)
-class AnalyzeRun(Run):
+class AnalyzeRun(CommandRun):
     """The same, on both of two cores."""
 
     jobs: Jobs = DEFAULT_JOBS
@@ -63,7 +63,7 @@ def analyze(
 
 
 @dataclass(frozen=True)
-class OneProcessRun(Run):
+class OneProcessRun(CommandRun):
     """The same, of a command that one process does."""
 
     jobs: UnusedJobs = 1
@@ -79,7 +79,7 @@ def fit(run: OneProcessRun) -> None:
 @app.command()
 @with_groups
 def posterior(
-    run: Run,
+    run: CommandRun,
     sampling: Sampling,
     with_effect: Annotated[
         list[str] | None,
@@ -111,7 +111,7 @@ def posterior(
 
 @app.command()
 @with_groups
-def bounds(run: Run, sampler: Sampler = None) -> None:
+def bounds(run: CommandRun, sampler: Sampler = None) -> None:
     """Every bound method side by side."""
     _run("bounds", run, posterior=given(sampler=sampler))
 
@@ -124,7 +124,7 @@ def delays(run: OneProcessRun) -> None:
 
 
 @dataclass(frozen=True)
-class GapRun(Run):
+class GapRun(CommandRun):
     """The same, with words on what of the settings acts on the gap."""
 
     config: Annotated[

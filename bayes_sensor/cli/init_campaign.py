@@ -10,7 +10,7 @@ from pathlib import Path
 from bayes_sensor.campaign import ORDERS, CampaignError, counted
 from bayes_sensor.cli.terminal import say
 from bayes_sensor.io.disk import write_text
-from bayes_sensor.io.draft.campaign_text import Rig, campaign_text, propose_rig
+from bayes_sensor.io.draft.campaign_text import DraftRig, campaign_text, propose_rig
 from bayes_sensor.io.draft.exports import Export, Unread, find_exports
 from bayes_sensor.io.draft.proposed_experiments import Answers, Draft, propose
 from bayes_sensor.io.readers.campaign_file import read_rig
@@ -129,8 +129,8 @@ def _ask_about_files(exports: Sequence[Export], ask: Ask) -> Answers:
 
 
 def _ask_about_rig(
-    drafts: Sequence[Draft], rig: Rig, ask: Ask
-) -> tuple[dict[str, dict[str, str]], Rig]:
+    drafts: Sequence[Draft], rig: DraftRig, ask: Ask
+) -> tuple[dict[str, dict[str, str]], DraftRig]:
     """Flows of every experiment, conditions of standard units, and which lag is the sensor."""
     which = _answer(
         ask,
@@ -172,7 +172,9 @@ def _ask_about_rig(
         "(faster, slower, unknown) [unknown]",
         partial(_one_of, names=ORDERS),
     )
-    return flows, Rig(stages, bool(told), order or "unknown", conditions, flows_known=which != "3")
+    return flows, DraftRig(
+        stages, bool(told), order or "unknown", conditions, flows_known=which != "3"
+    )
 
 
 def _answer(ask: Ask, question: str, check: Callable[[str], str]) -> str:

@@ -67,7 +67,7 @@ UnusedConfig = Annotated[
 
 
 @dataclass(frozen=True)
-class Run:
+class CommandRun:
     """What every command that analyses a campaign takes."""
 
     campaign: CampaignFile

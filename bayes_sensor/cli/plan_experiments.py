@@ -21,7 +21,7 @@ from bayes_sensor.design import Design, check_design, design_experiments
 from bayes_sensor.design.choose_experiments import refuse_unplannable
 from bayes_sensor.fit.side_information import named_parameters
 from bayes_sensor.io.json_files import sha256
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.readers.quantities import FLOW, TIME, Kind
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.writers import campaign_text
@@ -42,7 +42,7 @@ def plan_experiments(asked: Planning) -> int:
     ``design.toml`` goes with ``truth.json``, ``next.toml`` with ``next_truth.json``: sigma1 and phi
     refer to a campaign's own highest concentration and sampling interval.
     """
-    clock = Clock()
+    clock = CommandClock()
     path, quiet, k = asked.campaign, asked.quiet, asked.experiments
     goal = _positive(asked.target_tau, "--target-tau")
     known = None if asked.trigger is None else _positive(asked.trigger, "--trigger", zero=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 
-def put_figure(stage: Stage, name: str, figure: Any) -> None:
+def put_figure(stage: StagingFolder, name: str, figure: Any) -> None:
     """Put a figure as ``name``.svg and ``name``.png."""
     from bayes_sensor import figures
 

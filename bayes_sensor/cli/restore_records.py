@@ -15,10 +15,10 @@ from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import Progress, progress_bar, say
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import sha256
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.readers import FORMATS
 from bayes_sensor.io.record_file import Record, read_record
-from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.results import Results, StagingFolder
 from bayes_sensor.posterior.samplers import FASTEST
 from bayes_sensor.restoration import Restored, restore
 from bayes_sensor.restoration.lag_draws import LagDraws, posterior_lags, saved_lags, stated_lags
@@ -34,7 +34,7 @@ USAGE = (
 
 def restore_records(wanted: Restoring) -> int:
     """Restore every record, one folder each where there are several; the exit code."""
-    clock = Clock()
+    clock = CommandClock()
     source, files = _parted(wanted.paths, wanted.lag or ())
     # everything that can be wrong with the input is found before anything is written
     read = partial(
@@ -166,7 +166,7 @@ def _settings(wanted: Restoring, source: Path | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _put(stage: Stage, found: Restored, record: Record) -> None:
+def _put(stage: StagingFolder, found: Restored, record: Record) -> None:
     from bayes_sensor import figures
 
     stage.json("restored.json", found.to_json())

@@ -25,8 +25,8 @@ from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
 from bayes_sensor.figures.plot_blind_check import score_card
 from bayes_sensor.io.csv_text import csv_text
-from bayes_sensor.io.put_run import Clock, put_run
-from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.put_run import CommandClock, put_run
+from bayes_sensor.io.results import Results, StagingFolder
 
 if TYPE_CHECKING:
     from bayes_sensor.cli.command_options import BlindCheck
@@ -39,7 +39,7 @@ KEEP_UP_TO = 100
 
 def blind_check(wanted: BlindCheck, only: str | None) -> None:
     """Run all of it, or ``only`` ``cases``, ``diagnose`` or ``score``."""
-    clock, seconds = Clock(), dict[str, float]()
+    clock, seconds = CommandClock(), dict[str, float]()
     out, n, quiet = wanted.out, wanted.cases, wanted.quiet
     if wanted.setting not in SETTINGS:
         raise CampaignError(
@@ -113,7 +113,7 @@ def blind_check(wanted: BlindCheck, only: str | None) -> None:
         say(f"{n} cases, truths sealed: {results.path('sealed.json')}", quiet)
 
 
-def _write_card(stage: Stage, folder: Path) -> dict[str, Any]:
+def _write_card(stage: StagingFolder, folder: Path) -> dict[str, Any]:
     card, rows = score(open_seals(folder))
     card["sealed_late"] = sealed_late(folder)
     stage.json("score.json", card)

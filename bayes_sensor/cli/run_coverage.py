@@ -10,7 +10,7 @@ from bayes_sensor.checks.coverage import BoundsStudy, chosen_settings, run_cover
 from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import lined_up, progress_bar, say
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def study_coverage(wanted: CoverageStudy) -> None:
     """
     from bayes_sensor.analysis.overrides import read_overrides
 
-    clock = Clock()
+    clock = CommandClock()
     chosen = chosen_settings(wanted.setting or ())
     asked = read_overrides(wanted.config).bounds
     names = tuple(wanted.method or ()) or tuple(asked.methods or ()) or tuple(METHODS)

@@ -20,12 +20,12 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.logged_notes import noted
 from bayes_sensor.cli.pipeline import run_command
 from bayes_sensor.cli.terminal import progress_bar, say
-from bayes_sensor.fleet import Entry, failed_row, read_list, row_of, table, write_comparison
+from bayes_sensor.fleet import FleetEntry, failed_row, read_list, row_of, table, write_comparison
 from bayes_sensor.fleet.comparison import sentences
 from bayes_sensor.fleet.outcome import fingerprint, unchanged
 from bayes_sensor.io.disk import own_folder
 from bayes_sensor.io.json_files import write_json
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results
 from bayes_sensor.workers import WorkerDied, completed, dask_client
 
@@ -47,7 +47,7 @@ _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Analysis:
+class FleetAnalysis:
     """The task of a fleet: ``analyze`` one campaign into its own folder."""
 
     config: Path | None
@@ -58,12 +58,12 @@ class Analysis:
     key: str = ""
     """digest of everything besides the data that the numbers depend on"""
 
-    def __call__(self, entry: Entry) -> dict[str, Any]:
+    def __call__(self, entry: FleetEntry) -> dict[str, Any]:
         """``row`` of the table and ``cost``; errors of the campaign are in the row."""
         with _one_at_a_time:
             return self._analyse(entry)
 
-    def _analyse(self, entry: Entry) -> dict[str, Any]:
+    def _analyse(self, entry: FleetEntry) -> dict[str, Any]:
         begin, spent = time.perf_counter(), time.process_time()
         results = Results(self.out / FOLDER / entry.name)
         file = str(entry.file)
@@ -98,7 +98,7 @@ class Analysis:
         write_json(results.path(OUTCOME), {**outcome, "key": self.key, "files": files})
         return outcome
 
-    def _known(self, results: Results, entry: Entry) -> dict[str, Any] | None:
+    def _known(self, results: Results, entry: FleetEntry) -> dict[str, Any] | None:
         """The outcome of an earlier run on the same data with the same settings."""
         try:
             known = results.json(OUTCOME)
@@ -177,8 +177,8 @@ def run_fleet(
     """
     path = None if config is None else Path(config)
     rows, _ = _run(
-        Path(listing), Path(out), Analysis(path, seed, resume, posterior or {}), jobs, scheduler,
-        progress or (lambda fraction, text: None),
+        Path(listing), Path(out), FleetAnalysis(path, seed, resume, posterior or {}), jobs,
+        scheduler, progress or (lambda fraction, text: None),
     )  # fmt: skip
     return table(rows)
 
@@ -186,13 +186,13 @@ def run_fleet(
 def _run(
     listing: Path,
     out: Path,
-    task: Analysis,
+    task: FleetAnalysis,
     jobs: int,
     scheduler: str | None,
     tell: Callable[[float, str], None],
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The rows and their comparison."""
-    clock = Clock()
+    clock = CommandClock()
     settings: Overrides = read_overrides(task.config, task.posterior)
     entries = read_list(listing)
     results = Results(out)
@@ -226,14 +226,14 @@ def _run(
 
 
 def _outcomes(
-    task: Analysis,
-    entries: Sequence[Entry],
+    task: FleetAnalysis,
+    entries: Sequence[FleetEntry],
     jobs: int,
     client: Any,
     tell: Callable[[float, str], None],
 ) -> list[dict[str, Any]]:
     """One a campaign, in the order of the list."""
-    here = [Entry(e.name, Path(os.path.abspath(e.file))) for e in entries]
+    here = [FleetEntry(e.name, Path(os.path.abspath(e.file))) for e in entries]
     found: dict[int, dict[str, Any]] = {}
     bad = 0
     tell(0.0, f"0 of {len(entries)} campaigns")
@@ -264,7 +264,7 @@ def exit_code(compared: dict[str, Any]) -> int:
 
 
 def analyse_fleet(
-    listing: Path, out: Path, task: Analysis, *, jobs: int, scheduler: str | None, quiet: bool
+    listing: Path, out: Path, task: FleetAnalysis, *, jobs: int, scheduler: str | None, quiet: bool
 ) -> int:
     """Run the command; the exit code."""
     with progress_bar("fleet", quiet) as tell:

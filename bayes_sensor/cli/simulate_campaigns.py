@@ -13,7 +13,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, Experiment, counted
 from bayes_sensor.cli.read_parameters import read_option, read_truth
 from bayes_sensor.cli.terminal import progress_bar, say
 from bayes_sensor.io.json_files import read_json, sha256
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.readers.quantities import TIME, VOLUME, Kind
 from bayes_sensor.io.results import Results
@@ -188,7 +188,7 @@ def simulate_campaign(asked: Simulation) -> None:
     from bayes_sensor.analysis.overrides import make_problem, read_overrides
 
     overrides = read_overrides(asked.config)
-    clock = Clock()
+    clock = CommandClock()
     if asked.file_format not in FORMATS:
         raise CampaignError(
             f"--format: expected one of {', '.join(FORMATS)}, but got '{asked.file_format}'; "

@@ -11,7 +11,7 @@ from pathlib import Path
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli.put_figure import put_figure
 from bayes_sensor.cli.terminal import progress_bar, say
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results
 
 
@@ -30,7 +30,7 @@ def solve_diffusion(out: Path, quantities: Mapping[str, str], tolerance: float, 
     from bayes_sensor import figures
     from bayes_sensor.coating import Coating, solve
 
-    clock = Clock()
+    clock = CommandClock()
     try:
         coating = Coating().with_quantities(**quantities)
     except ValueError as error:

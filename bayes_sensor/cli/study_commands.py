@@ -99,9 +99,9 @@ def fleet(
     A campaign that cannot be analysed becomes a row with its message.  Exit status: 0 all done, 3
     some failed or did not converge, 2 a bad list or nowhere to write.
     """
-    from bayes_sensor.cli.run_fleets import Analysis, analyse_fleet
+    from bayes_sensor.cli.run_fleets import FleetAnalysis, analyse_fleet
 
-    task = Analysis(config, seed, resume, sampling.settings)
+    task = FleetAnalysis(config, seed, resume, sampling.settings)
     raise typer.Exit(
         analyse_fleet(Path(listing), out, task, jobs=jobs, scheduler=scheduler, quiet=quiet)
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, CampaignError, FloatArray, counted
 from bayes_sensor.design.planned_experiments import (
-    Setting,
+    PlannedSetting,
     Truth,
     planned,
     refuse_several_sensors,
@@ -130,13 +130,13 @@ def refuse_unplannable(campaign: Campaign) -> None:
 def candidate_settings(
     problem: Problem,
     vector: FloatArray,
-    present: list[Setting],
+    present: list[PlannedSetting],
     truth: Truth,
     flows: tuple[float, float],
     concentrations: tuple[float, float],
     durations: tuple[float, float],
     n_grid: tuple[int, int, int],
-) -> list[Setting]:
+) -> list[PlannedSetting]:
     c = np.array([s.experiment.concentration for s in present])
     beta = np.array([s.beta for s in present])
     gain = float(c @ beta / (c @ c))
@@ -214,7 +214,7 @@ def choose_greedily(
 
 
 def _proposal(
-    problem: Problem, vector: FloatArray, truth: Truth, picked: list[Setting]
+    problem: Problem, vector: FloatArray, truth: Truth, picked: list[PlannedSetting]
 ) -> tuple[Campaign, FloatArray, pd.DataFrame]:
     import pandas as pd
 

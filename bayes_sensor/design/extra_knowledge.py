@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.design.planned_experiments import (
-    Setting,
+    PlannedSetting,
     Truth,
     planned,
     settings_of,
@@ -132,11 +132,11 @@ def _decade(value: float) -> float:
     return float(10.0 ** round(log10(value)))
 
 
-def _with_flow(setting: Setting, factor: float) -> Setting:
+def _with_flow(setting: PlannedSetting, factor: float) -> PlannedSetting:
     return replace(setting, experiment=setting.experiment.with_flow(factor))
 
 
-def _with_rate(setting: Setting, factor: int) -> Setting:
+def _with_rate(setting: PlannedSetting, factor: int) -> PlannedSetting:
     e = setting.experiment
     interval = e.interval / factor
     t = e.t[0] + interval * np.arange(len(e.t) * factor)
@@ -144,7 +144,7 @@ def _with_rate(setting: Setting, factor: int) -> Setting:
     return replace(setting, experiment=replace(e, t=t, interval=interval, mask=mask, drive=None))
 
 
-def as_pulse(setting: Setting, pulses: int, truth: Truth) -> Setting | None:
+def as_pulse(setting: PlannedSetting, pulses: int, truth: Truth) -> PlannedSetting | None:
     """One of ``pulses`` equal parts of the record; None if the response would not settle, or the
     record is no single pulse."""
     e = setting.experiment

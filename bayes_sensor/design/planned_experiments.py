@@ -19,7 +19,7 @@ BEGIN, END = 0.2, 0.6
 
 
 @dataclass(frozen=True)
-class Setting:
+class PlannedSetting:
     """One planned experiment: its design and its own parameters."""
 
     experiment: Experiment
@@ -67,7 +67,7 @@ class Truth:
         lags = self.rig.lags(np.array(self.shared), total_flow)
         return np.delete(lags, self.rig.sensor_lag)
 
-    def fastest(self, settings: Sequence[Setting]) -> float:
+    def fastest(self, settings: Sequence[PlannedSetting]) -> float:
         """s, the shortest of the other lags in any experiment; tau itself for a sensor alone."""
         found = [self.other_lags(setting.experiment.total_flow) for setting in settings]
         return min((float(lags.min()) for lags in found if lags.size), default=self.tau)
@@ -89,14 +89,14 @@ def refuse_several_sensors(campaign: Campaign) -> None:
         )
 
 
-def settings_of(problem: Problem, vector: FloatArray) -> list[Setting]:
+def settings_of(problem: Problem, vector: FloatArray) -> list[PlannedSetting]:
     """The campaign's experiments as settings, data left out."""
     settings, layout = [], problem.layout
     for k, e in enumerate(problem.campaign):
         y0, beta = (float(v) for v in vector[layout.local[k, :2]])
         switches = tuple(float(v) for v in vector[layout.switches(k)])
         weight = problem.noise.weight(problem.campaign, e)
-        settings.append(Setting(replace(e, y=None), y0, beta, switches, weight))
+        settings.append(PlannedSetting(replace(e, y=None), y0, beta, switches, weight))
     return settings
 
 
@@ -126,7 +126,7 @@ def planned(
     beta: float,
     weight: float,
     delay: float = 0.0,
-) -> Setting:
+) -> PlannedSetting:
     """A step experiment of ``duration`` s: up at 20 %, down at 60 % of it (mL/s, fraction, s, V).
 
     The valve answers ``delay`` s after its commands.  ``total_flow`` is nan where it is not known.
@@ -143,4 +143,4 @@ def planned(
     e = Experiment(
         name, t, None, carrier if known else None, test_gas if known else None, interval, on, off
     )
-    return Setting(e, y0, beta, (on + delay, off + delay), weight)
+    return PlannedSetting(e, y0, beta, (on + delay, off + delay), weight)

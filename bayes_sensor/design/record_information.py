@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, FloatArray
-from bayes_sensor.design.planned_experiments import Setting, Truth
+from bayes_sensor.design.planned_experiments import PlannedSetting, Truth
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
@@ -26,7 +26,7 @@ def common_names(rig: Rig) -> tuple[str, ...]:
     return ("tau^2", "tau", *rig.names[1:], "phi", "sigma0", "sigma1")
 
 
-def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray:
+def record_information(setting: PlannedSetting, truth: Truth, tau: float) -> FloatArray:
     """Information (n, n) of one experiment's record on (tau^2, tau, the other shared parameters,
     y0, beta, t0 + tau, tf + tau or other switches plus tau, phi, sigma0, sigma1), sensitivities
     taken at ``tau`` (s, positive).
@@ -59,12 +59,12 @@ def record_information(setting: Setting, truth: Truth, tau: float) -> FloatArray
     return full
 
 
-Known = dict[tuple[Setting, Truth, float], FloatArray]
+Known = dict[tuple[PlannedSetting, Truth, float], FloatArray]
 """informations of records that were computed before"""
 
 
 def information_of(
-    setting: Setting,
+    setting: PlannedSetting,
     truth: Truth,
     tau: float,
     trigger: float | None = None,
@@ -106,7 +106,7 @@ def eliminate(information: FloatArray, keep: Sequence[int]) -> FloatArray:
 
 
 def sum_information(
-    settings: Sequence[Setting],
+    settings: Sequence[PlannedSetting],
     truth: Truth,
     tau: float,
     trigger: float | None = None,

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.design.planned_experiments import Setting, Truth
+from bayes_sensor.design.planned_experiments import PlannedSetting, Truth
 from bayes_sensor.design.record_information import Known, eliminate, sum_information
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
@@ -103,7 +103,7 @@ def known_beforehand(problem: Problem) -> Beforehand:
 
 
 def predict(
-    settings: Sequence[Setting],
+    settings: Sequence[PlannedSetting],
     truth: Truth,
     prior: Prior | None = None,
     trigger: float | None = None,

@@ -9,7 +9,7 @@ from bayes_sensor.figures.labels import (
     shared_labels,
     told_apart,
 )
-from bayes_sensor.figures.plot_chain import Stage, chain
+from bayes_sensor.figures.plot_chain import Box, chain
 from bayes_sensor.figures.plot_check import understood
 from bayes_sensor.figures.plot_coating import (
     diffusion,
@@ -47,7 +47,7 @@ from bayes_sensor.figures.style import WIDTH, no_data, pdf, png, style, svg
 
 __all__ = [
     "WIDTH",
-    "Stage",
+    "Box",
     "autocorrelation",
     "autocorrelation_panel",
     "chain",

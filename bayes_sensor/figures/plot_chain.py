@@ -19,7 +19,7 @@ ENDS = 38.0
 
 
 @dataclass(frozen=True)
-class Stage:
+class Box:
     """A box of the drawing."""
 
     name: str
@@ -28,7 +28,7 @@ class Stage:
     is_sensor: bool = False
 
 
-def chain(stages: Sequence[Stage]) -> str:
+def chain(stages: Sequence[Box]) -> str:
     """The SVG element of a chain: the gas from the left, the signal to the right."""
     room = (POINTS * WIDTH - 2 * ENDS - GAP * (len(stages) + 1)) / max(len(stages), 1)
     wanted = max(

@@ -66,7 +66,7 @@ def averages(campaign: Campaign, looks: list[Look], per_rise: int, most: int) ->
     return joined(parts)
 
 
-class Series(NamedTuple):
+class SwitchSeries(NamedTuple):
     """How positions of the swarm become the switches of all experiments."""
 
     first: NDArray[np.int64]  # (n_exp + 1,) of the switches, all experiments in a row

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.fit.misfit import Misfit, warning
-from bayes_sensor.fit.side_information import Comparison
+from bayes_sensor.fit.side_information import SideComparison
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.likelihood.rise_time import rise_time
 from bayes_sensor.rig.cascade import cascade_response
@@ -19,7 +19,7 @@ def caveats(
     vector: FloatArray,
     residuals: list[tuple[FloatArray, FloatArray]],
     misfit: Mapping[str, Misfit],
-    compared: Sequence[Comparison] = (),
+    compared: Sequence[SideComparison] = (),
     hidden: float | None = None,
 ) -> list[str]:
     """Sentences that come before the first line; empty if it is valid without them.

@@ -10,7 +10,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.display import card
 from bayes_sensor.fit.inseparable import Inseparable
 from bayes_sensor.fit.lag_count import LagCount
-from bayes_sensor.fit.side_information import Comparison
+from bayes_sensor.fit.side_information import SideComparison
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.rig.lags import Naming
 
@@ -66,7 +66,7 @@ class Fit:
     """whether the step of any experiment exceeds the noise"""
     unseen: tuple[str, ...] = ()
     """lags, or V, at the lower end of the search: too small to be seen in these data"""
-    side_information: tuple[Comparison, ...] = ()
+    side_information: tuple[SideComparison, ...] = ()
     """each piece of side information with the estimate from the data alone"""
     hidden_by_sampling: float | None = None
     """s, the sampling interval if the whole response is shorter than it"""

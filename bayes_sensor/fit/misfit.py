@@ -74,7 +74,7 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class Scales:
+class NoiseScales:
     """Noise by time scale."""
 
     a: FloatArray
@@ -82,12 +82,12 @@ class Scales:
     dof: FloatArray
     """(n_scales,) degrees of freedom of each"""
 
-    def scaled(self, factor: float) -> Scales:
+    def scaled(self, factor: float) -> NoiseScales:
         """The same with a variance ``factor`` times as large."""
-        return Scales(factor * self.a, self.dof)
+        return NoiseScales(factor * self.a, self.dof)
 
 
-def scales_of(y: FloatArray, rounding: float = 0.0) -> Scales:
+def scales_of(y: FloatArray, rounding: float = 0.0) -> NoiseScales:
     """Noise of a stretch of samples ``y`` (n,) in V about its straight line.
 
     ``rounding``, V^2: variance that a converter adds to every sample. A stretch within one of its
@@ -100,7 +100,7 @@ def scales_of(y: FloatArray, rounding: float = 0.0) -> Scales:
     # the straight line takes a fifth of A where there are four averages (white .1, 1/f .26)
     a /= 1.0 - 0.2 * (SPARE / averages) ** 2
     # overlapping averages of white noise have this many (nearly so for 1/f noise, too)
-    return Scales(a + rounding / m, 2.0 / 3.0 * (averages - 1.0))
+    return NoiseScales(a + rounding / m, 2.0 / 3.0 * (averages - 1.0))
 
 
 def _sums(y: FloatArray) -> FloatArray:
@@ -133,7 +133,7 @@ def is_still(y: FloatArray, rounding: float) -> bool:
     return bool(found.a[-1] <= most * usual)
 
 
-def quiet_end(y: FloatArray, shares: Sequence[float], rounding: float) -> Scales | None:
+def quiet_end(y: FloatArray, shares: Sequence[float], rounding: float) -> NoiseScales | None:
     """Noise of the longest of the ``shares`` of ``y`` (n,), from its end back, that is still."""
     for share in shares:
         part = y[len(y) - int(share * len(y)) :]
@@ -142,17 +142,17 @@ def quiet_end(y: FloatArray, shares: Sequence[float], rounding: float) -> Scales
     return None
 
 
-def together(parts: Sequence[Scales]) -> Scales:
+def together(parts: Sequence[NoiseScales]) -> NoiseScales:
     """Noise of several stretches, each with the weight of its degrees of freedom."""
     n = max(len(part.a) for part in parts)
     dof, weighted = np.zeros(n), np.zeros(n)
     for part in parts:
         dof[: len(part.a)] += part.dof
         weighted[: len(part.a)] += part.dof * part.a
-    return Scales(weighted / dof, dof)
+    return NoiseScales(weighted / dof, dof)
 
 
-def lengthened(short: Scales, long: Scales) -> Scales:
+def lengthened(short: NoiseScales, long: NoiseScales) -> NoiseScales:
     """``short`` with the longer scales of ``long``, scaled to agree at the common ones."""
     n = len(short.a)
     if len(long.a) <= n:
@@ -160,7 +160,9 @@ def lengthened(short: Scales, long: Scales) -> Scales:
     weight = 1.0 / (1.0 / short.dof + 1.0 / long.dof[:n])
     level = float(np.exp(weight @ np.log(short.a / long.a[:n]) / weight.sum()))
     dof = 1.0 / (1.0 / long.dof[n:] + 1.0 / weight.sum())
-    return Scales(np.concatenate([short.a, level * long.a[n:]]), np.concatenate([short.dof, dof]))
+    return NoiseScales(
+        np.concatenate([short.a, level * long.a[n:]]), np.concatenate([short.dof, dof])
+    )
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Variance:
     """degrees of freedom of n samples of such noise"""
 
 
-def variance(scales: Scales, n: int, cautious: bool) -> Variance:
+def variance(scales: NoiseScales, n: int, cautious: bool) -> Variance:
     """V(n), from the scales measured and their continuation ``level * m^growth`` to longer ones.
 
     The growth is estimated from the :data:`LONGEST` scales measured, with :data:`GROWTH` as prior.
@@ -208,7 +210,7 @@ def variance(scales: Scales, n: int, cautious: bool) -> Variance:
     return Variance(value, value**2 / error, value**2 / float(np.sum(share**2 / own)))
 
 
-def quiet_stretches(e: Experiment, look: Look) -> tuple[Scales | None, Scales | None]:
+def quiet_stretches(e: Experiment, look: Look) -> tuple[NoiseScales | None, NoiseScales | None]:
     """Noise of one record without and with test gas; None where no stretch is quiet.
 
     If the plateau drifts, its shortest scales give the level of its noise, and the baseline gives

@@ -44,7 +44,7 @@ FRESH = {"lag": ("filter", "probe: lag"), "volume": ("line", "cell")}
 """names of stages that a campaign's rig does not have"""
 
 
-class Chain(NamedTuple):
+class LagNumbers(NamedTuple):
     """How many lags a chain has, by kind."""
 
     flat: int
@@ -79,7 +79,7 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     if not plain or fit.cannot_tell or not fit.step_seen or not set(kinds) <= set(KINDS_COUNTED):
         return None
     looks = [first_look(e) for e in problem.campaign]
-    own = Chain(kinds.count("lag"), kinds.count("volume"))
+    own = LagNumbers(kinds.count("lag"), kinds.count("volume"))
     most_volumes = 0
     if problem.campaign.flows_known and not problem.campaign.same_flow:
         most_volumes = max(1, own.volumes)
@@ -91,12 +91,12 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     theta = fit.theta_hat[: problem.layout.n_mean]
     first = _as_one_lag(problem, theta, with_stages(("sensor",)))
     chains = [
-        Chain(n - volumes, volumes)
+        LagNumbers(n - volumes, volumes)
         for n in range(1, max(MOST_LAGS, own.n) + 1)
         for volumes in range(most_volumes + 1)
         if n > volumes
     ]
-    fitted: dict[Chain, _Fitted] = {}
+    fitted: dict[LagNumbers, _Fitted] = {}
     for chain in chains:
         stages = stages_of(problem.layout.rig, chain, most_volumes > 0)
         fitted[chain] = _least_squares(with_stages(stages), looks, _starts(chain, fitted, first))
@@ -115,7 +115,7 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
                 if start is not None:
                     again = _climb(fitted[less].problem, start, looks)
                     likelihood[less] = max(likelihood[less], again, key=lambda found: found[0])
-    values: dict[Chain, float] = {}
+    values: dict[LagNumbers, float] = {}
     evidence: dict[int, float] = {}
     names: dict[int, tuple[str, ...]] = {}
     for chain in chains:
@@ -132,7 +132,7 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     return LagCount(supported(evidence), evidence, names, own.n, missed)
 
 
-def stages_of(rig: Rig, chain: Chain, flows_differ: bool) -> tuple[str, ...]:
+def stages_of(rig: Rig, chain: LagNumbers, flows_differ: bool) -> tuple[str, ...]:
     """The stages of a chain: those of ``rig``, as far as there are so many, then fresh ones.
 
     Where flows do not differ a volume is one more lag.
@@ -175,12 +175,14 @@ def _as_one_lag(problem: Problem, theta: FloatArray, alone: Problem) -> FloatArr
     return found
 
 
-def _with_one_less(chain: Chain) -> tuple[Chain, Chain]:
+def _with_one_less(chain: LagNumbers) -> tuple[LagNumbers, LagNumbers]:
     """The chains that lack one of its lags."""
-    return Chain(chain.flat - 1, chain.volumes), Chain(chain.flat, chain.volumes - 1)
+    return LagNumbers(chain.flat - 1, chain.volumes), LagNumbers(chain.flat, chain.volumes - 1)
 
 
-def _starts(chain: Chain, fitted: dict[Chain, _Fitted], first: FloatArray) -> list[FloatArray]:
+def _starts(
+    chain: LagNumbers, fitted: dict[LagNumbers, _Fitted], first: FloatArray
+) -> list[FloatArray]:
     """Starts (n_mean,) for a chain from those with one lag less."""
     if chain.n == 1:
         return [first]
@@ -254,7 +256,7 @@ def _climb(problem: Problem, vector: FloatArray, looks: list[Look]) -> tuple[flo
     return likelihood_maximum(problem, vector, low, high)
 
 
-def _without_lag(problem: Problem, vector: FloatArray, less: Chain) -> FloatArray | None:
+def _without_lag(problem: Problem, vector: FloatArray, less: LagNumbers) -> FloatArray | None:
     """A start for a chain from that with one lag more, ``vector`` (n_theta,), whose shortest is
     left out; None where that is well above the sampling interval.
 

@@ -199,7 +199,7 @@ def covariance_of(information: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SideComparison:
     """One piece of side information and the estimate from the data alone."""
 
     name: str
@@ -255,7 +255,7 @@ class Comparison:
         }
 
 
-def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Comparison, ...]]:
+def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[SideComparison, ...]]:
     """Assignments of the lags at a fit ``vector`` (n_theta,), lags by size, and each piece of side
     information with the data's own estimate.
 
@@ -277,7 +277,7 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Com
     return problem.naming(probabilities), compared
 
 
-def without_contradicted(problem: Problem, compared: Sequence[Comparison]) -> Problem:
+def without_contradicted(problem: Problem, compared: Sequence[SideComparison]) -> Problem:
     """The problem without the side information that the data contradict.
 
     An average of a right and a wrong value would be wrong.
@@ -296,8 +296,8 @@ def without_contradicted(problem: Problem, compared: Sequence[Comparison]) -> Pr
 
 def _compare(
     problem: Problem, known: dict[str, Prior], estimates: Estimates
-) -> tuple[Comparison, ...]:
-    best: tuple[Comparison, ...] = ()
+) -> tuple[SideComparison, ...]:
+    best: tuple[SideComparison, ...] = ()
     least = np.inf
     for choice in problem.assignments:
         found = tuple(
@@ -309,12 +309,12 @@ def _compare(
     return best
 
 
-def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> Comparison:
+def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> SideComparison:
     """Side information on one parameter, with the lag or the volume to which it refers."""
     if place is None:
         value, sd = estimates.other(name)
         distance = abs(value - law.a) / hypot(sd, law.b)
-        return Comparison(name, law.a, law.b, value, sd, distance)
+        return SideComparison(name, law.a, law.b, value, sd, distance)
     flow = estimates.commuting.flow
     factor = flow if name.startswith("V_") and flow is not None else 1.0
     value, sd = (factor * each for each in estimates.lag(place))
@@ -324,7 +324,7 @@ def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> C
     if flow is None and len(estimates.lags) == 2:
         if estimates.distance(1 - place, law.a, law.b) < CONTRADICT:
             suits = float(estimates.lags[1 - place])
-    return Comparison(name, law.a, law.b, value, sd, distance, lag, suits)
+    return SideComparison(name, law.a, law.b, value, sd, distance, lag, suits)
 
 
 def named_parameters(naming: Naming, theta: FloatArray) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.fit.block_averages import Points, Series, profiles
+from bayes_sensor.fit.block_averages import Points, SwitchSeries, profiles
 from bayes_sensor.fit.first_estimates import Look
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import response
@@ -61,13 +61,13 @@ class SwarmProblem:
         return 1 + int(max(places[-1] for places, _ in self._moves))
 
     @cached_property
-    def _series(self) -> Series:
+    def _series(self) -> SwitchSeries:
         switching = self.problem.layout.switching
         moves, offsets = [], []
         for each, (places, origin) in zip(switching, self._moves, strict=True):
             moves.append(places[each.places])
             offsets.append(origin[each.places] + each.offsets)
-        return Series(
+        return SwitchSeries(
             np.cumsum([0, *map(len, moves)]), np.concatenate(moves), np.concatenate(offsets),
             np.concatenate([each.heights for each in switching]),
             np.array([each.rest for each in switching]),

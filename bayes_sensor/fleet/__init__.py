@@ -1,12 +1,12 @@
 """Many campaigns: their list, their results, one table, one figure, one page."""
 
 from bayes_sensor.fleet.comparison import comparison, table, write_comparison
-from bayes_sensor.fleet.listing import Entry, read_list
+from bayes_sensor.fleet.listing import FleetEntry, read_list
 from bayes_sensor.fleet.outcome import COLUMNS, failed_row, row_of
 
 __all__ = [
     "COLUMNS",
-    "Entry",
+    "FleetEntry",
     "comparison",
     "failed_row",
     "read_list",

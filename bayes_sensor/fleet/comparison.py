@@ -11,7 +11,7 @@ import numpy as np
 from bayes_sensor.fleet.outcome import COLUMNS, DONE, FAILED, NOT_CONVERGED
 from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.json_files import json_text
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,7 +98,7 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     return said
 
 
-def write_comparison(stage: Stage, rows: Sequence[Row], version: str) -> dict[str, Any]:
+def write_comparison(stage: StagingFolder, rows: Sequence[Row], version: str) -> dict[str, Any]:
     """Write fleet.csv, fleet.json, the figure and index.html to a temporary folder; the
     comparison."""
     from bayes_sensor import figures

@@ -34,7 +34,7 @@ LONGEST_NAME = 80
 
 
 @dataclass(frozen=True)
-class Entry:
+class FleetEntry:
     """One campaign of a fleet."""
 
     name: str
@@ -42,7 +42,7 @@ class Entry:
     file: Path
 
 
-def read_list(path: str | os.PathLike[str]) -> list[Entry]:
+def read_list(path: str | os.PathLike[str]) -> list[FleetEntry]:
     """The campaigns of a list, in its order (of a folder or a pattern: sorted).
 
     Raises CampaignError for a list that cannot be read, is empty, or names a campaign twice.
@@ -172,7 +172,7 @@ def _matching(pattern: str) -> list[Path]:
     ]
 
 
-def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[Entry]:
+def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[FleetEntry]:
     """Entries with unique names for folders: as given, else from the path."""
     seen: dict[str, str] = {}
     for _, file, place in found:
@@ -198,7 +198,7 @@ def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[Entry]:
     short = _short_names([file for name, file, _ in found if name is None])
     for name, file, place in found:
         if name is not None:
-            entries.append(Entry(_safe(name), file))
+            entries.append(FleetEntry(_safe(name), file))
             continue
         base = _safe(short[os.path.abspath(file)])
         own, number = base, 1
@@ -206,7 +206,7 @@ def _named(found: Sequence[tuple[str | None, Path, str]]) -> list[Entry]:
             number += 1
             own = f"{base}-{number}"
         taken[own.casefold()] = place or str(file)
-        entries.append(Entry(own, file))
+        entries.append(FleetEntry(own, file))
     return entries
 
 

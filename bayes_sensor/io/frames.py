@@ -14,7 +14,7 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, CampaignError, SideInformation
 from bayes_sensor.io.readers.assembly import assemble
 from bayes_sensor.io.readers.campaign_file import (
-    Entry,
+    ExperimentTable,
     read_entry,
     read_rig,
     read_sheet,
@@ -103,7 +103,7 @@ def campaign_from_frames(frames: Any, keys: Mapping[str, Any]) -> Campaign:
 
 
 def _check_keys(keys: Mapping[str, Any]) -> None:
-    known = [key for key in (*Entry.model_fields, *MIXTURE) if key not in _NOT_HERE]
+    known = [key for key in (*ExperimentTable.model_fields, *MIXTURE) if key not in _NOT_HERE]
     known += [*_OF_RIG, "rig", "title", "conditions", "side_information"]
     for key in keys:
         if key not in known:

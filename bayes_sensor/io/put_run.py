@@ -6,11 +6,11 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_sensor.io.results import Stage
+from bayes_sensor.io.results import StagingFolder
 from bayes_sensor.io.run_record import now, run_record
 
 
-class Clock:
+class CommandClock:
     """When a command began, and how long it has taken."""
 
     def __init__(self) -> None:
@@ -24,9 +24,9 @@ class Clock:
 
 
 def put_run(
-    stage: Stage,
+    stage: StagingFolder,
     command: str,
-    clock: Clock,
+    clock: CommandClock,
     *,
     seed: int,
     settings: Any,

@@ -80,7 +80,7 @@ LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
-class Stage:
+class StagingFolder:
     """Where a command writes before its results take their place."""
 
     results: Results
@@ -264,7 +264,7 @@ class Results:
                     folder.rmdir()
 
     @contextmanager
-    def writing(self) -> Iterator[Stage]:
+    def writing(self) -> Iterator[StagingFolder]:
         """A stage to write to; what is on it replaces earlier results when the block ends well.
 
         An exception inside leaves the earlier results as they were.  From the moment when the
@@ -274,7 +274,7 @@ class Results:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._put_in_place()
         inside = Path(tempfile.mkdtemp(prefix=STAGE, dir=self.folder))
-        stage = Stage(self, inside)
+        stage = StagingFolder(self, inside)
         try:
             yield stage
             stage.complete()

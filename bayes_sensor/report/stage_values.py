@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bayes_sensor.figures import Stage
+from bayes_sensor.figures import Box
 from bayes_sensor.figures.method_words import quoted
 from bayes_sensor.report.headline import LIMIT, count_limits, stated_set
 from bayes_sensor.report.saved import Saved
@@ -15,7 +15,7 @@ SYMBOLS = {"sensor": ("tau_s",), "valve": ("tau_v_s",), "manifold": ("V_mL",)}
 """parameters that are not called after their stage"""
 
 
-def stage_values(saved: Saved) -> list[Stage]:
+def stage_values(saved: Saved) -> list[Box]:
     """Each stage with its lag or its volume; a value that is not known is left out.
 
     Lags that cannot be assigned to stages are given at each stage that may have them.
@@ -31,7 +31,7 @@ def stage_values(saved: Saved) -> list[Stage]:
         is_volume = any(key.startswith("V") for key in keys) and name not in SYMBOLS
         if not words and not is_volume and name != "manifold":
             words = _unassigned(saved.posterior)
-        made.append(Stage(name, tuple(words), is_sensor=name == "sensor"))
+        made.append(Box(name, tuple(words), is_sensor=name == "sensor"))
     return made
 
 

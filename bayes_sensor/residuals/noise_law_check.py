@@ -45,7 +45,7 @@ BY_GAS, BY_SLOPE = "of the highest concentration", "of the largest slope"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Judgement:
+class NoiseJudgement:
     """What all checks say together."""
 
     checks: dict[str, dict[str, Any]]
@@ -64,7 +64,7 @@ class Judgement:
         return "" if self.adequate else f"{self.verdict} {self.recommendation}"
 
 
-def judge(noise: FittedNoise, correlation: FloatArray) -> Judgement:
+def judge(noise: FittedNoise, correlation: FloatArray) -> NoiseJudgement:
     """Correlation, variance and rounding: what fails, with its numbers and what helps.
 
     ``correlation``: the autocorrelation of all residuals, as far as it was taken.
@@ -77,7 +77,7 @@ def judge(noise: FittedNoise, correlation: FloatArray) -> Judgement:
     failing = f"{failing} {_variance_sentence(noise, by_gas, by_slope)}".strip()
     failing = f"{failing} {rounding['sentence']}".strip()
     beyond = "" if rounding["adequate"] else f" {TOO_COARSE}"
-    return Judgement(
+    return NoiseJudgement(
         checks={
             "correlation": correlated,
             "variance_concentration": by_gas.to_json(),

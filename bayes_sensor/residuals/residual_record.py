@@ -17,19 +17,19 @@ from bayes_sensor.residuals.autocorrelation import (
     durbin_watson,
     ljung_box,
 )
-from bayes_sensor.residuals.noise_law_check import Judgement, judge
+from bayes_sensor.residuals.noise_law_check import NoiseJudgement, judge
 from bayes_sensor.residuals.series import FittedNoise
 from bayes_sensor.residuals.spread import breusch_pagan, histogram, of_each, spread
 
 
-class Fitted(Protocol):
+class ResidualFit(Protocol):
     """What is needed of a fit."""
 
     theta_hat: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals(Judgement):
+class Residuals(NoiseJudgement):
     """Diagnostics of a fit's residuals r = y - m, pooled over the experiments in their order."""
 
     acf: dict[str, list[float]]
@@ -69,7 +69,7 @@ class Residuals(Judgement):
 
 
 def diagnose_residuals(
-    campaign: Campaign | Problem, fit: Fitted, max_lag: float | None = None
+    campaign: Campaign | Problem, fit: ResidualFit, max_lag: float | None = None
 ) -> Residuals:
     """Diagnostics of the residuals at ``fit.theta_hat``.
 

@@ -17,7 +17,7 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.restoration.state_space import ORDERS, Model, Samples
+from bayes_sensor.restoration.state_space import ORDERS, FilterSamples, Model
 
 MOST_SAMPLES = 20_000
 """samples in the marginal likelihood; of a longer record a part"""
@@ -30,7 +30,7 @@ SMALLEST_GROWTH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class InputFit:
     """The maximum for one order of the input, and the Gaussian about it."""
 
     order: int
@@ -66,15 +66,15 @@ def _root(cov: FloatArray) -> FloatArray:
 
 
 def fit_orders(
-    samples: Samples, lags: FloatArray, tell: Callable[[float, str], None]
-) -> list[Fitted]:
+    samples: FilterSamples, lags: FloatArray, tell: Callable[[float, str], None]
+) -> list[InputFit]:
     """The maximum for each order of the input, the best first; ``lags`` (n_lags,) s."""
     some = samples.thinned(MOST_SAMPLES)
     grows = False
     found = []
     for i, order in enumerate(ORDERS):
         tell(0.4 * i / len(ORDERS), "roughness and noise")
-        target = Target(some, order, lags)
+        target = InputPosterior(some, order, lags)
         peak, best = target.maximum(target.starts())
         if i == 0 or grows:
             # noise that grows with the signal is one parameter more: asked once
@@ -87,10 +87,10 @@ def fit_orders(
     return sorted(found, key=lambda each: -each.log_evidence)
 
 
-class Target:
+class InputPosterior:
     """Log posterior of the parameters for one order of the input."""
 
-    def __init__(self, samples: Samples, order: int, lags: FloatArray) -> None:
+    def __init__(self, samples: FilterSamples, order: int, lags: FloatArray) -> None:
         self.samples, self.order, self.lags = samples, order, lags
         self.duration = float(samples.steps[samples.which[1:]].sum())
         seen = samples.y[np.isfinite(samples.y)]
@@ -131,7 +131,7 @@ class Target:
                 best, value = np.asarray(found.x, dtype=float), -float(found.fun)
         return best, value
 
-    def laplace(self, peak: FloatArray) -> Fitted:
+    def laplace(self, peak: FloatArray) -> InputFit:
         """The Gaussian about a maximum, and how it moves with the lags."""
         n = len(peak)
         value = self.log_posterior(peak)
@@ -154,7 +154,7 @@ class Target:
             for i in range(n):
                 slopes[i, j] = self._with_lag(peak, i, j, width)
         log_evidence = value + 0.5 * n * np.log(2.0 * np.pi) - 0.5 * float(np.log(values).sum())
-        return Fitted(self.order, peak, cov, cov @ slopes, self.lags, log_evidence)
+        return InputFit(self.order, peak, cov, cov @ slopes, self.lags, log_evidence)
 
     @staticmethod
     def _at(p: FloatArray, i: int, by: float) -> FloatArray:
@@ -181,7 +181,7 @@ class Target:
 
 
 def draw_models(
-    fitted: Sequence[Fitted], lags: FloatArray, n: int, rng: np.random.Generator
+    fitted: Sequence[InputFit], lags: FloatArray, n: int, rng: np.random.Generator
 ) -> list[Model]:
     """``n`` models: orders by their evidence, ``lags`` (n, n_lags) one each, the rest Gaussian."""
     logs = np.array([each.log_evidence for each in fitted])

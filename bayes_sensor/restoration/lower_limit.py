@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.restoration.state_space import Model, Samples
+from bayes_sensor.restoration.state_space import FilterSamples, Model
 
 PER_RESOLUTION = 3.0
 """conditions within the resolution; what lies between them follows"""
@@ -24,7 +24,9 @@ UNSEEN = 1e-9
 """precision, over that of the input, below which a condition has no effect"""
 
 
-def hold_above(samples: Samples, model: Model, limit: float, resolution: float) -> Samples:
+def hold_above(
+    samples: FilterSamples, model: Model, limit: float, resolution: float
+) -> FilterSamples:
     """The samples with values of the input that hold it above ``limit``.
 
     ``limit`` is in standard deviations of the record; ``resolution`` in s.

@@ -90,7 +90,7 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class FilterSamples:
     """The samples of a record, ready for the filter."""
 
     y: FloatArray
@@ -113,12 +113,14 @@ class Samples:
         """(n,) s since the first sample."""
         return np.concatenate([[0.0], np.cumsum(self.steps[self.which[1:]])])
 
-    def with_input(self, places: np.ndarray, values: FloatArray, errors: FloatArray) -> Samples:
+    def with_input(
+        self, places: np.ndarray, values: FloatArray, errors: FloatArray
+    ) -> FilterSamples:
         """The samples, and ``values`` of the input of known errors right after those at ``places``.
 
         All (n_values,); ``places`` increase.
         """
-        return Samples(
+        return FilterSamples(
             y=np.insert(self.y, places + 1, values),
             steps=np.append(self.steps, 0.0),
             which=np.insert(self.which, places + 1, len(self.steps)),
@@ -128,7 +130,7 @@ class Samples:
             error=np.insert(self.error, places + 1, errors),
         )
 
-    def thinned(self, most: int) -> Samples:
+    def thinned(self, most: int) -> FilterSamples:
         """About ``most`` samples in evenly spread bursts of neighbours; all where there are fewer.
 
         The likelihood of a part of the samples is exact as well, because times may be irregular.
@@ -140,7 +142,7 @@ class Samples:
         period = int(np.ceil(n * BURST / most))
         kept = np.flatnonzero(np.arange(n) % period < BURST)
         steps, which = distinct_steps(self.t[kept], self.interval)
-        return Samples(
+        return FilterSamples(
             self.y[kept], steps, which, self.level[kept], self.interval,
             self.direct[kept], self.error[kept],
         )  # fmt: skip
@@ -212,7 +214,9 @@ def distinct_steps(t: FloatArray, interval: float) -> tuple[FloatArray, np.ndarr
     return found * unit, np.concatenate([[0], which.ravel()]).astype(np.int64)
 
 
-def make_samples(t: FloatArray, y: FloatArray, slowest: float) -> tuple[Samples, float, float]:
+def make_samples(
+    t: FloatArray, y: FloatArray, slowest: float
+) -> tuple[FilterSamples, float, float]:
     """Samples of a record ``t``, ``y`` (n,), with its mean and standard deviation.
 
     ``slowest``: s, the longest lag.  What the sensor says changes little over a quarter of it; the
@@ -228,5 +232,5 @@ def make_samples(t: FloatArray, y: FloatArray, slowest: float) -> tuple[Samples,
     low, high = float(smooth.min()), float(smooth.max())
     level = (smooth - low) / (high - low) if high > low else np.zeros(len(t))
     none = np.zeros(len(t))
-    samples = Samples((y - mean) / spread, steps, which, level, interval, none > 0.0, none)
+    samples = FilterSamples((y - mean) / spread, steps, which, level, interval, none > 0.0, none)
     return samples, mean, spread

@@ -15,7 +15,7 @@ from bayes_sensor.checks.counted_coverage import binomial_interval
 from bayes_sensor.checks.coverage import (
     SETTINGS,
     BoundsStudy,
-    Setting,
+    CoverageSetting,
     chosen_settings,
     coverage_limits,
     coverage_of_methods,
@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 QUICK = ("crlb_iid", "crlb_ar1", "sandwich")
 
 
-def residuals(setting: Setting, n: int) -> np.ndarray:
+def residuals(setting: CoverageSetting, n: int) -> np.ndarray:
     """(n, n_experiments, n_t) simulated data minus the truth's mean, over the truth's scale."""
     design, theta = small_design()
     vector = np.concatenate([theta, [setting.phi, setting.sigma0, setting.sigma1]])

@@ -13,7 +13,7 @@ import typer
 
 from bayes_sensor.checks.coverage import SETTINGS, run_coverage
 from bayes_sensor.cli import app, exit_code
-from bayes_sensor.cli.options import Run, with_groups
+from bayes_sensor.cli.options import CommandRun, with_groups
 from bayes_sensor.io.readers import read_campaign
 
 COMMON = {"--seed", "--jobs", "--quiet", "--config"}
@@ -168,11 +168,11 @@ def test_a_group_of_options_is_spelled_out_where_it_stands() -> None:
     seen: list[Any] = []
 
     @with_groups
-    def command(first: int, run: Run, last: str = "z") -> None:
+    def command(first: int, run: CommandRun, last: str = "z") -> None:
         seen.extend([first, run, last])
 
     taken = inspect.signature(command).parameters
-    expected = ["first", *(item.name for item in dataclasses.fields(Run)), "last"]
+    expected = ["first", *(item.name for item in dataclasses.fields(CommandRun)), "last"]
     assert list(taken) == expected
     assert taken["seed"].default == 1 and taken["out"].default is inspect.Parameter.empty
     options = {name: None for name in expected} | {"first": 5, "seed": 7}

@@ -115,7 +115,10 @@ def test_a_target_out_of_reach_is_said_so(
             r"--flow: expected two positive",
         ),
         (["--target-tau", "5 ms", "--duration", "1 s", "2 s"], r"lets the response settle"),
-        (["--target-tau", "5 ms", "--truth", "none.json"], r"none.json: expected .* there is no such file"),
+        (
+            ["--target-tau", "5 ms", "--truth", "none.json"],
+            r"none.json: expected .* there is no such file",
+        ),
     ],
 )
 def test_mistakes_are_one_message(

@@ -14,7 +14,7 @@ import bayes_sensor as bs
 from bayes_sensor import figures
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
-from bayes_sensor.fleet import COLUMNS, Entry, comparison, failed_row, read_list, table
+from bayes_sensor.fleet import COLUMNS, FleetEntry, comparison, failed_row, read_list, table
 from bayes_sensor.fleet.comparison import page
 
 QUICK = """
@@ -284,7 +284,7 @@ def test_a_campaign_that_kills_its_worker_is_a_row(
     from bayes_sensor.workers import WorkerDied
 
     def died(function: Any, items: Any, jobs: int, client: Any) -> Any:
-        assert all(isinstance(item, Entry) for item in items)
+        assert all(isinstance(item, FleetEntry) for item in items)
         yield 1, {"row": failed_row("b", "b", "bad"), "cost": {}}
         yield 0, WorkerDied("it ended 3 worker processes")
 

@@ -19,7 +19,7 @@ from bayes_sensor.fit.samples import save_samples
 from bayes_sensor.fit.traces import save_traces
 from bayes_sensor.io.disk import remove, replacing, write_bytes, write_text
 from bayes_sensor.io.json_files import read_json, write_json
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import VOID, Results
 from bayes_sensor.io.writers import write_campaign
 from bayes_sensor.likelihood.mesh.node_sums import one_process
@@ -92,7 +92,7 @@ def test_results_that_are_void_are_removed_and_links_of_their_names_not_followed
     with Results(out).writing() as stage:
         for name in VOID[2:-1]:
             stage.text(name, "old")
-        put_run(stage, "fit", Clock(), seed=1, settings={})
+        put_run(stage, "fit", CommandClock(), seed=1, settings={})
     (out / VOID[-1]).write_text("mine")  # no run wrote it
     (out.parent / "later").rename(out / ".complete")
     (out / VOID[0]).symlink_to(outside / "thesis.tex")
@@ -159,7 +159,7 @@ def test_a_link_in_place_of_a_folder_of_ours_is_not_followed(
             stage.json("fit.json", text)
             stage.path("figures").mkdir()
             (stage.path("figures") / f"{text}.svg").write_text(text)
-            put_run(stage, "fit", Clock(), seed=1, settings={})
+            put_run(stage, "fit", CommandClock(), seed=1, settings={})
 
     if name == "figures":  # somebody's own
         with pytest.raises(CampaignError, match="figures that no run wrote"):

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.fit.traces import BINS_WHOLE, envelope, load_traces, make_traces, save_traces
 from bayes_sensor.io.json_files import plain, read_json, write_json
-from bayes_sensor.io.put_run import Clock, put_run
-from bayes_sensor.io.results import Results, Stage
+from bayes_sensor.io.put_run import CommandClock, put_run
+from bayes_sensor.io.results import Results, StagingFolder
 from bayes_sensor.io.run_record import run_record
 from bayes_sensor.rig.layout import Layout
 
@@ -43,7 +43,7 @@ def test_a_damaged_result_is_reported_with_its_file(tmp_path: Path, content: str
         read_json(path)
 
 
-def _half(stage: Stage) -> None:
+def _half(stage: StagingFolder) -> None:
     stage.json("fit.json", {"n": 2})
     stage.json("bad.json", object())
 
@@ -54,7 +54,7 @@ def test_results_are_replaced_together_or_not_at_all(tmp_path: Path) -> None:
         stage.json("fit.json", {"n": 1})
         stage.path("figures").mkdir()
         (stage.path("figures") / "a.svg").write_text("old")
-        put_run(stage, "fit", Clock(), seed=1, settings={})
+        put_run(stage, "fit", CommandClock(), seed=1, settings={})
     with pytest.raises(TypeError, match="no place in JSON"), results.writing() as stage:
         _half(stage)
     assert read_json(tmp_path / "out" / "fit.json") == {"n": 1}
@@ -81,11 +81,11 @@ def test_what_no_run_wrote_is_neither_replaced_nor_removed(tmp_path: Path, kind:
             stage.path("figures").mkdir()
             (stage.path("figures") / "a.svg").write_text("ours")
             stage.drop.append("gap.json")
-            put_run(stage, "fit", Clock(), seed=1, settings={})
+            put_run(stage, "fit", CommandClock(), seed=1, settings={})
 
     with results.writing() as stage:
         stage.json("gap.json", "ours" if kind == "inside" else "")
-        put_run(stage, "gap", Clock(), seed=1, settings={})
+        put_run(stage, "gap", CommandClock(), seed=1, settings={})
     path = results.path("fit.json")
     if kind != "written by hand":
         save()

@@ -8,17 +8,17 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.stats import multivariate_normal
 
 from bayes_sensor.restoration.kalman import discretise
-from bayes_sensor.restoration.state_space import Model, Samples, make_samples
+from bayes_sensor.restoration.state_space import FilterSamples, Model, make_samples
 
 CHAINS = [(1, (3.0,)), (2, (3.0, 0.7)), (1, (3.0, 3.0, 0.01)), (2, (0.2, 5.0, 1.0))]
 """order of the input and lags: equal ones and very short ones, too"""
 
 
-def samples_of(t: np.ndarray, y: np.ndarray, level: np.ndarray | None = None) -> Samples:
+def samples_of(t: np.ndarray, y: np.ndarray, level: np.ndarray | None = None) -> FilterSamples:
     """The samples with their mean and spread left out of account."""
     made = make_samples(t, y, slowest=1.0)[0]
     level = np.zeros(len(t)) if level is None else level
-    return Samples(
+    return FilterSamples(
         y, made.steps, made.which, level, made.interval, made.direct, made.error
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 import bayes_sensor as bs
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.restoration.hyperparameters import Target, fit_orders
+from bayes_sensor.restoration.hyperparameters import InputPosterior, fit_orders
 from bayes_sensor.restoration.state_space import Model, make_samples
 
 
@@ -135,7 +135,7 @@ def test_the_gaussian_about_the_maximum_is_that_of_the_likelihood() -> None:
     samples, _, _ = make_samples(t, y, 20.0)
     lags = np.array([20.0])
     (best, *_) = fit_orders(samples, lags, lambda fraction, text: None)
-    peak, target = best.peak, Target(samples, best.order, lags)
+    peak, target = best.peak, InputPosterior(samples, best.order, lags)
     top = target.log_posterior(peak)
     conditional = 1.0 / np.linalg.inv(best.cov)[2, 2]  # variance of log sigma, all others held
 

@@ -18,7 +18,7 @@ from bayes_sensor.checks.coverage import SETTINGS
 from bayes_sensor.cli import app
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.io.readers import FORMATS
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.posterior import SAMPLERS
 from bayes_sensor.report import Saved
 from tests.support.campaigns import small_problem
@@ -138,7 +138,9 @@ def test_what_can_be_chosen_is_told() -> None:
         TEXT[f"{page}.md"] for page in ("file_formats", "choose_a_bound", "read_a_gap_report")
     )
     assert [suffix for suffix in FORMATS if f"`{suffix}`" not in formats] == []
-    assert [key for key in Entry.model_fields if not re.search(rf"\b{key}\b", formats)] == []
+    assert [
+        key for key in ExperimentTable.model_fields if not re.search(rf"\b{key}\b", formats)
+    ] == []
     assert [method for method in METHODS if f"\n`{method}`\n:" not in bounds] == []
     assert [name for name in SAMPLERS if f'"{name}"' not in formats] == []
     assert [

@@ -20,7 +20,7 @@ from bayes_sensor.cli.interruption import advice
 from bayes_sensor.io import folder_lock
 from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.json_files import read_json
-from bayes_sensor.io.put_run import Clock, put_run
+from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results
 
 QUICK = """
@@ -109,7 +109,7 @@ def test_results_are_old_or_new_wherever_the_run_ends(
         with folder.locked(), folder.writing() as stage:
             for name in ("a.json", "b.json"):
                 stage.json(name, text)
-            put_run(stage, text, Clock(), seed=1, settings={})
+            put_run(stage, text, CommandClock(), seed=1, settings={})
             stage.path("figures").mkdir()
             (stage.path("figures") / f"{text}.svg").write_text(text)
             stage.drop.append("gap.json")

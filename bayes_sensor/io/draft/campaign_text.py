@@ -10,7 +10,7 @@ from typing import Any
 
 from bayes_sensor.campaign import STAGES
 from bayes_sensor.io.draft.exports import Unread
-from bayes_sensor.io.draft.proposed_experiments import Draft, Line
+from bayes_sensor.io.draft.proposed_experiments import Draft, DraftLine
 from bayes_sensor.io.readers.left_open import MARK as OPEN
 
 _BARE = ("at", "to")
@@ -18,15 +18,15 @@ _BARE = ("at", "to")
 _COLUMN = 34
 """where the remarks of a line begin"""
 MISSING_FLOWS = (
-    Line("carrier_flow", f"{OPEN} L/min", "MISSING", "flow of the carrier gas"),
-    Line("test_gas_flow", f"{OPEN} L/min", "MISSING",
+    DraftLine("carrier_flow", f"{OPEN} L/min", "MISSING", "flow of the carrier gas"),
+    DraftLine("test_gas_flow", f"{OPEN} L/min", "MISSING",
          "flow of the test gas; total_flow and concentration may stand for the two; leave all out "
          "where no stage of the rig is a volume"),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Rig:
+class DraftRig:
     """What is written in ``[rig]`` and ``[conditions]``."""
 
     stages: tuple[str, ...] = STAGES
@@ -37,21 +37,21 @@ class Rig:
     """whether anybody knows the flows, now or later"""
 
     @property
-    def open_flows(self) -> tuple[Line, ...]:
+    def open_flows(self) -> tuple[DraftLine, ...]:
         """The lines of flows that were not given."""
         return MISSING_FLOWS if self.flows_known else ()
 
 
-def propose_rig() -> Rig:
+def propose_rig() -> DraftRig:
     """The rig to begin with, where nobody is asked: the published one."""
-    return Rig()
+    return DraftRig()
 
 
 def campaign_text(
     title: str,
     drafts: Sequence[Draft],
     left: Sequence[Unread],
-    rig: Rig,
+    rig: DraftRig,
     flows: Mapping[str, Mapping[str, str]],
 ) -> str:
     """The campaign file; ``flows``: by the name of an experiment, what the user gave.
@@ -67,9 +67,9 @@ def campaign_text(
         f"title = {_toml(title)}",
         "",
         "[rig]",
-        _line(Line("stages", list(rig.stages), "" if rig.stages_known else "ASSUMED",
+        _line(DraftLine("stages", list(rig.stages), "" if rig.stages_known else "ASSUMED",
                    "what the gas passes, in order")),
-        _line(Line("sensor_is", rig.sensor_is, "ASSUMED" if rig.sensor_is == "unknown" else "",
+        _line(DraftLine("sensor_is", rig.sensor_is, "ASSUMED" if rig.sensor_is == "unknown" else "",
                    '"faster" or "slower" of the lags that do not depend on flow, where you know; '
                    "else both answers are given")),
     ]  # fmt: skip
@@ -78,12 +78,12 @@ def campaign_text(
         lines += [_line(_given(key, value)) for key, value in rig.conditions.items()]
         if "standard_temperature" not in rig.conditions:
             lines.append(
-                _line(Line("standard_temperature", "0 degC", "ASSUMED",
+                _line(DraftLine("standard_temperature", "0 degC", "ASSUMED",
                            "what sccm and slm stand for; makers also use 20 or 25 degC"))
             )  # fmt: skip
     for draft in drafts:
-        lines += ["", "[[experiment]]", _line(Line("name", draft.name)),
-                  _line(Line("file", draft.file))]  # fmt: skip
+        lines += ["", "[[experiment]]", _line(DraftLine("name", draft.name)),
+                  _line(DraftLine("file", draft.file))]  # fmt: skip
         given = flows.get(draft.name)
         lines += [_line(line) for line in rig.open_flows] if given is None else [
             _line(_given(key, value)) for key, value in given.items()
@@ -95,13 +95,13 @@ def campaign_text(
     return "\n".join(lines) + "\n"
 
 
-def _given(key: str, value: str) -> Line:
+def _given(key: str, value: str) -> DraftLine:
     """The line of what was asked for, which may have been left open."""
     missing = value.startswith(OPEN)
-    return Line(key, value, "MISSING" if missing else "", "left open" if missing else "")
+    return DraftLine(key, value, "MISSING" if missing else "", "left open" if missing else "")
 
 
-def _line(line: Line) -> str:
+def _line(line: DraftLine) -> str:
     if not line.key:
         return f"# {_comment(line.reason)}"
     text = f"{line.key} = {_toml(line.value)}"

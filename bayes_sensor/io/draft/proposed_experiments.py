@@ -27,7 +27,7 @@ _TRIAL_FLOWS = {"carrier_flow": "1 L/min", "test_gas_flow": "1 L/min"}
 
 
 @dataclass(frozen=True)
-class Line:
+class DraftLine:
     """A key of an experiment, and why it stands there; the mark is ASSUMED, MISSING or empty."""
 
     key: str
@@ -42,7 +42,7 @@ class Draft:
 
     name: str
     file: str
-    lines: tuple[Line, ...]
+    lines: tuple[DraftLine, ...]
     unit: str
     """of its samples; empty where the file gives none"""
     fault: str = ""
@@ -94,17 +94,17 @@ def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
     lines = _signal_lines(export, signal)
     if len(chosen) > 1:
         sensors = {re.sub(r"[\[\],]", " ", column).strip(): column for column in chosen}
-        lines = [Line("signals", sensors), *(line for line in lines if line.key != "signal")]
+        lines = [DraftLine("signals", sensors), *(line for line in lines if line.key != "signal")]
     if not export.timed and export.file not in answers.interval:
         words = "the file has no times: the time from one sample to the next"
-        lines.append(Line("interval", f"{OPEN} ms", "MISSING", words))
+        lines.append(DraftLine("interval", f"{OPEN} ms", "MISSING", words))
     elif not export.timed:
-        lines.append(Line("interval", answers.interval[export.file]))
+        lines.append(DraftLine("interval", answers.interval[export.file]))
     lines += _flow_hints(export)
     drive = export.drive(signal)
     if drive is not None:
         reason = "it jumps as a valve's drive does, before the signal moves"
-        lines.append(Line("drive", drive.name, "ASSUMED", reason))
+        lines.append(DraftLine("drive", drive.name, "ASSUMED", reason))
         return [Draft(name, export.file, tuple(lines), signal.unit)]
     seconds = _seconds_a_sample(export, answers)
     programme = _programme(export, signal)
@@ -114,7 +114,7 @@ def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
     parts = _parts(export, signal)
     if not parts:
         words = "no step is seen in the record: when the valve was told to open"
-        lines.append(Line("commanded_on", f"{OPEN} s", "MISSING", words))
+        lines.append(DraftLine("commanded_on", f"{OPEN} s", "MISSING", words))
         return [Draft(name, export.file, tuple(lines), signal.unit)]
     drafts = []
     for number, part in enumerate(parts, 1):
@@ -124,7 +124,7 @@ def _of_export(export: Export, name: str, answers: Answers) -> list[Draft]:
     return drafts
 
 
-def _signal_lines(export: Export, signal: Channel) -> list[Line]:
+def _signal_lines(export: Export, signal: Channel) -> list[DraftLine]:
     lines = []
     if len(export.channels) + export.more > 1:
         others = [channel.name for channel in export.measured if channel is not signal]
@@ -136,13 +136,13 @@ def _signal_lines(export: Export, signal: Channel) -> list[Line]:
             reason += (
                 f"; {shown} {'does' if len(others) == 1 else 'do'}, too; signals takes several"
             )
-        lines.append(Line("signal", signal.name, "ASSUMED", reason))
+        lines.append(DraftLine("signal", signal.name, "ASSUMED", reason))
     if not signal.unit:
-        lines.append(Line("signal_unit", "V", "ASSUMED", "the file gives no unit"))
+        lines.append(DraftLine("signal_unit", "V", "ASSUMED", "the file gives no unit"))
     return lines
 
 
-def _flow_hints(export: Export) -> list[Line]:
+def _flow_hints(export: Export) -> list[DraftLine]:
     """Lines that say what channels of flows read."""
     hints = []
     for channel in export.channels:
@@ -154,7 +154,7 @@ def _flow_hints(export: Export) -> list[Line]:
             said = (
                 f"'{channel.name}' reads {float(np.median(channel.y)):.4g} {channel.unit} (median)"
             )
-            hints.append(Line("", "", "", said))
+            hints.append(DraftLine("", "", "", said))
     return hints
 
 
@@ -197,7 +197,7 @@ def _programme(export: Export, signal: Channel) -> list[tuple[float, float]]:
 
 def _programme_lines(
     export: Export, signal: Channel, programme: Sequence[tuple[float, float]], seconds: float
-) -> list[Line]:
+) -> list[DraftLine]:
     """The keys of several switches: lists of on and off, or steps where levels differ."""
     commands = _command_channel(export, signal)
     grain = export.interval * seconds
@@ -210,11 +210,11 @@ def _programme_lines(
     at = [f"{_rounded(time * seconds, grain)} s" for time, _ in programme]
     levels = [level for _, level in programme]
     if levels == [float(i % 2 == 0) for i in range(len(levels))]:
-        lines = [Line("commanded_on", at[::2], "ASSUMED", reason)]
-        return [*lines, Line("commanded_off", at[1::2], "ASSUMED", "likewise")]
+        lines = [DraftLine("commanded_on", at[::2], "ASSUMED", reason)]
+        return [*lines, DraftLine("commanded_off", at[1::2], "ASSUMED", "likewise")]
     steps = [{"at": time, "to": f"{level:g}"} for time, level in zip(at, levels, strict=True)]
     words = f'{reason}; shares of the highest level seen, write "5 %" and the like where you know'
-    return [Line("steps", steps, "ASSUMED", words)]
+    return [DraftLine("steps", steps, "ASSUMED", words)]
 
 
 def _large(steps: Sequence[Step]) -> tuple[Step, ...]:
@@ -308,31 +308,35 @@ def _before_steps(group: Sequence[Step], begin: float, interval: float) -> list[
     return times
 
 
-def _time_lines(export: Export, part: _Part, seconds: float | None, cropped: bool) -> list[Line]:
+def _time_lines(
+    export: Export, part: _Part, seconds: float | None, cropped: bool
+) -> list[DraftLine]:
     if seconds is None:
         samples = f"{part.reason.replace(' s)', ')')}, counted in samples"
-        lines = [Line("commanded_on", f"{OPEN} s", "MISSING", f"{samples}: sample {part.on:.0f}")]
+        lines = [
+            DraftLine("commanded_on", f"{OPEN} s", "MISSING", f"{samples}: sample {part.on:.0f}")
+        ]
         if part.off is not None:
             words = f"sample {part.off:.0f}"
-            lines.append(Line("commanded_off", f"{OPEN} s", "MISSING", words))
+            lines.append(DraftLine("commanded_off", f"{OPEN} s", "MISSING", words))
         if cropped:
             words = f"samples {part.start:.0f} to {part.end:.0f}"
-            lines.append(Line("keep", [f"{OPEN} s", f"{OPEN} s"], "MISSING", words))
+            lines.append(DraftLine("keep", [f"{OPEN} s", f"{OPEN} s"], "MISSING", words))
         return lines
     step = export.interval * seconds
     coarse = max(step, part.grain * seconds)
     on = _rounded(max(part.on, part.start) * seconds, coarse)
     if float(on) < part.start * seconds:
         on = _rounded(part.on * seconds, step)
-    lines = [Line("commanded_on", f"{on} s", "ASSUMED", part.reason)]
+    lines = [DraftLine("commanded_on", f"{on} s", "ASSUMED", part.reason)]
     if part.off is not None:
         off = _rounded(part.off * seconds, coarse)
-        lines.append(Line("commanded_off", f"{off} s", "ASSUMED", "likewise"))
+        lines.append(DraftLine("commanded_off", f"{off} s", "ASSUMED", "likewise"))
     if cropped:
         start = _rounded(part.start * seconds, step / 10)
         end = _rounded(part.end * seconds, step / 10, ROUND_CEILING)
         lines.append(
-            Line("keep", [f"{start} s", f"{end} s"], "ASSUMED", "the stretch around this step")
+            DraftLine("keep", [f"{start} s", f"{end} s"], "ASSUMED", "the stretch around this step")
         )
     return lines
 
@@ -363,7 +367,9 @@ def _tried(draft: Draft, folder: Path) -> Draft:
         if gaps is None or ", .." in gaps[1] or "mask" in draft.table:
             break
         pairs = re.findall(r'\["([^"]*)", "([^"]*)"\]', gaps[1])
-        mask = Line("mask", [list(pair) for pair in pairs], "ASSUMED", "gaps in time are left out")
+        mask = DraftLine(
+            "mask", [list(pair) for pair in pairs], "ASSUMED", "gaps in time are left out"
+        )
         draft = Draft(draft.name, draft.file, (*draft.lines, mask), draft.unit)
     _, _, reason = said.partition("): ")
     return Draft(draft.name, draft.file, draft.lines, draft.unit, reason or said)

@@ -20,7 +20,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, Experiment
 from bayes_sensor.io.readers.arrow import read_feather, read_parquet
 from bayes_sensor.io.readers.assembly import Assembled, assemble, design, settled_unit
 from bayes_sensor.io.readers.campaign_file import (
-    Entry,
+    ExperimentTable,
     read_entry,
     read_rig,
     read_sheet,
@@ -147,7 +147,7 @@ def _read(path: Path) -> Campaign:
     return replace(found, coating=sheet.coating)
 
 
-def _measured(entry: Entry, folder: Path, allow_outside: bool) -> Assembled:
+def _measured(entry: ExperimentTable, folder: Path, allow_outside: bool) -> Assembled:
     """The experiment of an entry with a file."""
     file = _open(entry, folder, allow_outside)
     selection = Selection(entry.signal, entry.drive or entry.input, entry.time, entry.interval)
@@ -181,7 +181,7 @@ def read_experiment(table: Mapping[str, Any], folder: Path, label: str) -> Assem
     return _measured(read_entry(dict(table), 1, label), folder, False)
 
 
-def _check_entries(entries: list[Entry], label: str) -> None:
+def _check_entries(entries: list[ExperimentTable], label: str) -> None:
     """Check that names are unique, and that all experiments are measured or all planned."""
     seen: dict[str, int] = {}
     for number, entry in enumerate(entries, 1):
@@ -207,7 +207,7 @@ def _check_entries(entries: list[Entry], label: str) -> None:
             )
 
 
-def _open(entry: Entry, folder: Path, allow_outside: bool) -> DataFile:
+def _open(entry: ExperimentTable, folder: Path, allow_outside: bool) -> DataFile:
     """The data file of an entry, read once."""
     assert entry.file is not None
     where = f"experiment '{entry.name}' ({entry.file})"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.commanded_programme import commands_of_input, within_record
 from bayes_sensor.io.readers.commanded_times import (
     check_times,
@@ -50,7 +50,7 @@ class Assembled:
     warnings: tuple[str, ...]
 
 
-def design(entry: Entry, label: str) -> Experiment:
+def design(entry: ExperimentTable, label: str) -> Experiment:
     """The planned experiment of an entry without a file."""
     where = f"experiment '{entry.name}' ({label})"
     for key, value in (("interval", entry.interval), ("duration", entry.duration)):
@@ -99,7 +99,7 @@ def design(entry: Entry, label: str) -> Experiment:
     )
 
 
-def assemble(entry: Entry, file: DataFile, recording: Recording) -> Assembled:
+def assemble(entry: ExperimentTable, file: DataFile, recording: Recording) -> Assembled:
     """The experiment of an entry and its recording.
 
     Raises
@@ -214,7 +214,7 @@ def _on_grid(values: FloatArray, grid: Grid, n: int) -> FloatArray:
     return full
 
 
-def _unit(entry: Entry, file: DataFile, recording: Recording) -> tuple[float, str]:
+def _unit(entry: ExperimentTable, file: DataFile, recording: Recording) -> tuple[float, str]:
     """Factor to the internal unit of the samples, and that unit: V for every voltage."""
     stated, wanted = recording.unit or entry.signal_unit or "V", entry.signal_unit
     if wanted is not None:

@@ -25,7 +25,7 @@ from bayes_sensor.io.readers.quantities import (
 )
 from bayes_sensor.io.readers.stamps import Moment, read_moment
 from bayes_sensor.names import acts_on_its_surroundings, appearance
-from bayes_sensor.rig.rig import Rig as StagesOfRig
+from bayes_sensor.rig.rig import Rig
 
 Span = tuple[float | Moment, float | Moment]
 
@@ -97,7 +97,7 @@ def _clocks(value: object, info: ValidationInfo) -> float | Moment | tuple[float
     return tuple(_clock(each, info) for each in value)
 
 
-class Step(NamedTuple):
+class StepTable(NamedTuple):
     """One step of a staircase: when, s or on the recorder's clock, and to which share."""
 
     at: float | Moment
@@ -105,7 +105,7 @@ class Step(NamedTuple):
     percent: bool
 
 
-def _steps(value: object, info: ValidationInfo) -> tuple[Step, ...]:
+def _steps(value: object, info: ValidationInfo) -> tuple[StepTable, ...]:
     key = _key(info)
     fix = f"write for example {_EXAMPLES[key]}"
     if not isinstance(value, list) or not value:
@@ -118,7 +118,7 @@ def _steps(value: object, info: ValidationInfo) -> tuple[Step, ...]:
                 f"{fix}"
             )
         level, percent = _level(each["to"], key, fix)
-        found.append(Step(_clock(each["at"], info), level, percent))
+        found.append(StepTable(_clock(each["at"], info), level, percent))
     if len({step.percent for step in found if step.to != 0.0}) > 1:
         raise CampaignError(
             f"{key}: expected all steps in % (or ppm) or all as shares from 0 to 1, but got both; "
@@ -252,7 +252,7 @@ OnClocks = Annotated[float | Moment | tuple[float | Moment, ...], BeforeValidato
 PositiveTime = Annotated[float, BeforeValidator(_positive_time)]
 
 
-class Entry(BaseModel):
+class ExperimentTable(BaseModel):
     """One ``[[experiment]]``: flows in mL/s, times in s or on the recorder's clock."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -263,7 +263,7 @@ class Entry(BaseModel):
     test_gas_flow: Flow | None = None
     commanded_on: OnClocks | None = None
     commanded_off: OnClocks | None = None
-    steps: Annotated[tuple[Step, ...], BeforeValidator(_steps)] = ()
+    steps: Annotated[tuple[StepTable, ...], BeforeValidator(_steps)] = ()
     delays: Annotated[str | None, BeforeValidator(_delays)] = None
     signal: Text | None = None
     signals: Annotated[dict[str, str], BeforeValidator(_signals)] = Field(default_factory=dict)
@@ -283,7 +283,7 @@ def _stages(value: object, info: ValidationInfo) -> tuple[str, ...]:
             f"stages: expected a list of what the gas passes, in order, but got {_shorten(value)}; "
             f"write for example {_EXAMPLES['stages']}"
         )
-    StagesOfRig.parse(value)
+    Rig.parse(value)
     return tuple(value)
 
 
@@ -296,7 +296,7 @@ def _order(value: object, info: ValidationInfo) -> str:
     return str(value)
 
 
-class Rig(BaseModel):
+class RigTable(BaseModel):
     """``[rig]``: the stages that the gas passes, and which of the lags is the sensor's."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -336,22 +336,24 @@ def read_sheet(tables: dict[str, Any], label: str) -> Sheet:
         raise CampaignError(f"{label}: {_first_problem(error, Sheet)}") from None
 
 
-def read_entry(table: dict[str, Any], number: int, label: str) -> Entry:
+def read_entry(table: dict[str, Any], number: int, label: str) -> ExperimentTable:
     """One experiment, checked; CampaignError names it and the key."""
     name = table.get("name")
     which = f"experiment '{name}'" if isinstance(name, str) else f"experiment number {number}"
     try:
-        return Entry.model_validate(table)
+        return ExperimentTable.model_validate(table)
     except ValidationError as error:
-        raise CampaignError(f"{which} ({label}): {_first_problem(error, Entry)}") from None
+        raise CampaignError(
+            f"{which} ({label}): {_first_problem(error, ExperimentTable)}"
+        ) from None
 
 
-def read_rig(table: dict[str, Any], label: str) -> Rig:
+def read_rig(table: dict[str, Any], label: str) -> RigTable:
     """The rig, checked; CampaignError names the key."""
     try:
-        return Rig.model_validate(table)
+        return RigTable.model_validate(table)
     except ValidationError as error:
-        raise CampaignError(f"{label}: [rig] {_first_problem(error, Rig)}") from None
+        raise CampaignError(f"{label}: [rig] {_first_problem(error, RigTable)}") from None
 
 
 def side_information_keys(
@@ -362,7 +364,7 @@ def side_information_keys(
     ``stages``: the rig's; ``sensors``: their names where there are several.
     """
     known: dict[str, tuple[str, Kind]] = {}
-    for name in StagesOfRig.parse(stages).names:
+    for name in Rig.parse(stages).names:
         key, _, unit = name.rpartition("_")
         kind = VOLUME if unit == "mL" else Kind("a time", "s", "48 ms")
         if name == "tau_s" and sensors:
@@ -407,7 +409,7 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
     first = min(problems, key=lambda problem: rank.get(problem["type"], 2))
     key = str(first["loc"][0]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        return _unknown(key, [*model.model_fields, *(MIXTURE if model is Entry else ())])
+        return _unknown(key, [*model.model_fields, *(MIXTURE if model is ExperimentTable else ())])
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])
     example = _EXAMPLES.get(key, key)

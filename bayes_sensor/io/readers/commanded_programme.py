@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from bayes_sensor.campaign import FREE_SWITCHES, CampaignError, Commands, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.stamps import Moment
 
 Seconds = Callable[[float | Moment, str], float]
 """a time of the campaign file, and the key it stands in, to s on the record's own axis"""
 
 
-def check_keys(entry: Entry, where: str) -> None:
+def check_keys(entry: ExperimentTable, where: str) -> None:
     """Raise CampaignError where keys say twice what was done to the gas."""
     lists = any(isinstance(each, tuple) for each in (entry.commanded_on, entry.commanded_off))
     said = {
@@ -38,7 +38,7 @@ def check_keys(entry: Entry, where: str) -> None:
         )
 
 
-def commands_of_entry(entry: Entry, where: str, seconds: Seconds) -> Commands | None:
+def commands_of_entry(entry: ExperimentTable, where: str, seconds: Seconds) -> Commands | None:
     """The programme of an entry's steps or lists; None where it has at most one pulse."""
     if entry.steps:
         times = [seconds(step.at, "steps") for step in entry.steps]
@@ -71,7 +71,7 @@ def single(times: float | Moment | tuple[float | Moment, ...] | None) -> float |
 
 
 def commands_of_edges(
-    times: list[float], starts_high: bool, entry: Entry, where: str
+    times: list[float], starts_high: bool, entry: ExperimentTable, where: str
 ) -> Commands | None:
     """The programme of a drive's edges; None where it is one pulse that starts low."""
     if not starts_high and len(times) <= 2:
@@ -137,7 +137,7 @@ def _alternating(n: int, up: bool) -> FloatArray:
 
 
 def _made(
-    times: list[float], levels: FloatArray, rest: float, entry: Entry, where: str
+    times: list[float], levels: FloatArray, rest: float, entry: ExperimentTable, where: str
 ) -> Commands:
     delays = entry.delays or ("free" if len(times) <= FREE_SWITCHES else "shared")
     try:

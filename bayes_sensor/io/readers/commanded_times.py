@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bayes_sensor.campaign import CampaignError, Commands, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.commanded_programme import (
     check_keys,
     commands_of_edges,
@@ -33,7 +33,7 @@ class EntryTimes:
     """where it is more than one pulse"""
 
 
-def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
+def times_of_entry(entry: ExperimentTable, where: str, clock: Clock | None) -> EntryTimes:
     """The entry's times on the record's own axis.
 
     A time of day or a date in the campaign file is a place on the recorder's clock; so is a number
@@ -84,7 +84,7 @@ def times_of_entry(entry: Entry, where: str, clock: Clock | None) -> EntryTimes:
 
 
 def drive_commands(
-    entry: Entry,
+    entry: ExperimentTable,
     told: EntryTimes,
     file: DataFile,
     recording: Recording,

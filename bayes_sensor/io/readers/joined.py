@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, SideInformation
-from bayes_sensor.io.readers.campaign_file import Entry, Rig, read_side_information
+from bayes_sensor.io.readers.campaign_file import ExperimentTable, RigTable, read_side_information
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.rig.layout import Layout
 
@@ -16,7 +16,7 @@ KnownOf = Callable[[Sequence[str], Sequence[str]], dict[str, SideInformation]]
 """side information by flat name, of the rig's stages and the names of several sensors"""
 
 
-def by_sensor(entry: Entry) -> list[tuple[Entry, str, str]]:
+def by_sensor(entry: ExperimentTable) -> list[tuple[ExperimentTable, str, str]]:
     """The entry of each sensor, with the names of the record and the sensor."""
     if not entry.signals:
         return [(entry, "", "")]
@@ -52,7 +52,7 @@ def join(
     experiments: Sequence[Experiment],
     units: list[tuple[str, str]],
     warnings: Sequence[str],
-    rig: Rig,
+    rig: RigTable,
     known: KnownOf,
     label: str,
     source: str = "",

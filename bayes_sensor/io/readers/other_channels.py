@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.recording import Recording, Selection, list_names
 from bayes_sensor.io.readers.roles import is_set_point
 from bayes_sensor.io.steps import Step, find_steps
@@ -22,7 +22,7 @@ FEWEST_VALUES = 10
 
 
 def signal_remarks(
-    entry: Entry, recording: Recording, read: Callable[[Selection], Recording]
+    entry: ExperimentTable, recording: Recording, read: Callable[[Selection], Recording]
 ) -> list[str]:
     """Sentences on a set point or a constant column as the signal, and on a second sensor.
 
@@ -66,7 +66,7 @@ def _moves_with(
     mine: Sequence[Step],
     signal: Recording,
     name: str,
-    entry: Entry,
+    entry: ExperimentTable,
     read: Callable[[Selection], Recording],
 ) -> bool:
     """Whether a channel is measured and shows a step while the signal does; any, without one."""

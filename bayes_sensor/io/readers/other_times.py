@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.recording import Recording, Selection
 
 MOST = 4
@@ -19,7 +19,7 @@ FIRST_DAY = 2e4
 
 
 def time_remarks(
-    entry: Entry, recording: Recording, read: Callable[[Selection], Recording]
+    entry: ExperimentTable, recording: Recording, read: Callable[[Selection], Recording]
 ) -> list[str]:
     """Sentences on times that contradict each other, and on days that were taken as seconds.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.io.readers.campaign_file import Entry
+from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.recording import DataFile, Recording
 from bayes_sensor.io.readers.used_samples import MOST_LOST
 
@@ -135,7 +135,7 @@ def check_clipped(
 
 
 def question_units(
-    entry: Entry, file: DataFile, recording: Recording, largest: float, notes: list[str]
+    entry: ExperimentTable, file: DataFile, recording: Recording, largest: float, notes: list[str]
 ) -> None:
     """Notes on a missing or wrong unit."""
     if not recording.unit and entry.signal_unit is None and largest > _LARGEST_VOLTAGE:

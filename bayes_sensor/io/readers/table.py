@@ -52,7 +52,7 @@ from bayes_sensor.io.readers.table_cells import (
     lines_of,
     split_cells,
 )
-from bayes_sensor.io.readers.table_layout import Layout, find_layout
+from bayes_sensor.io.readers.table_layout import TableLayout, find_layout
 from bayes_sensor.io.readers.text_encoding import as_utf8, decoded
 
 SAMPLED = 400
@@ -138,7 +138,7 @@ def _without_footer(text: bytes) -> bytes:
         text = text[:start]
 
 
-def _facts(text: bytes, layout: Layout) -> list[Facts]:
+def _facts(text: bytes, layout: TableLayout) -> list[Facts]:
     """The kind of each column, from rows at the beginning."""
     cells: list[list[str]] = [[] for _ in layout.columns]
     last = [0] * len(cells)
@@ -181,7 +181,7 @@ class _Body:
     """The rows of samples, parsed once: numbers of the columns in use, text of the others."""
 
     def __init__(
-        self, file: DataFile, text: bytes, layout: Layout, facts: Sequence[Facts], roles: Roles
+        self, file: DataFile, text: bytes, layout: TableLayout, facts: Sequence[Facts], roles: Roles
     ) -> None:
         self.file, self.text, self.layout, self.facts = file, text, layout, facts
         wanted = {roles.signal, *roles.times} | (
@@ -480,7 +480,7 @@ def _blame(body: _Body, use: set[int], reason: str) -> CampaignError:
     )
 
 
-def _row_number(text: bytes, layout: Layout, i: int) -> int:
+def _row_number(text: bytes, layout: TableLayout, i: int) -> int:
     """Row, counted from 1 with blank rows, of sample i."""
     seen = -1
     for row, (_, raw) in enumerate(lines_of(text, layout.body), layout.body_row):

@@ -55,7 +55,7 @@ _TOLD = re.compile(rf"({_NUMBER})\s*\(?([A-Za-zµμ]+(?:/[A-Za-z]+)?)?\)?")
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """The layout of a table, found from its first lines."""
 
     separator: str
@@ -82,7 +82,7 @@ class _Line:
     text: str
 
 
-def find_layout(file: DataFile, text: bytes) -> Layout:
+def find_layout(file: DataFile, text: bytes) -> TableLayout:
     """Separator, decimal mark, column names, units, stated interval and the start of the data.
 
     Raises
@@ -132,7 +132,7 @@ def find_layout(file: DataFile, text: bytes) -> Layout:
     preamble = [line for line in lines if line.row < rows[first].row]
     interval, start = _stated_interval(preamble, rows[first : first + 3], separator)
     columns = _columns(file, names, units, n, rows[first].row)
-    return Layout(
+    return TableLayout(
         separator,
         decimal,
         columns,
