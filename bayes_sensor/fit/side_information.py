@@ -86,9 +86,7 @@ class Estimates:
         to_squares[range(n_lags), places] = by_value / scale**2
         to_ours[:n_lags] = polynomial_slopes(squares / scale**2) @ to_squares
         to_ours[range(n_lags, n), rest] = 1.0
-        with np.errstate(over="ignore"):  # where there is no information at all
-            cov = to_ours @ covariance_of(information)[:n, :n] @ to_ours.T
-        cov = np.nan_to_num(np.clip(cov, -1e200, 1e200))
+        cov = to_ours @ covariance_of(information)[:n, :n] @ to_ours.T
         return cls(commuting, lags, others, scale, cov)
 
     def other(self, name: str) -> tuple[float, float]:
@@ -190,8 +188,8 @@ def polynomial_slopes(squares: FloatArray) -> FloatArray:
 
 def covariance_of(information: FloatArray) -> FloatArray:
     """Covariance (n, n) of an information matrix; directions without information have a huge
-    variance."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    variance, of which sums and products are still numbers."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-150))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
     found: FloatArray = inverse / np.outer(scale, scale)

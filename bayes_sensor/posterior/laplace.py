@@ -322,7 +322,12 @@ def _into_support(problem: Problem, theta: FloatArray) -> FloatArray:
 def covering_region(
     compressed: Compressed, laplace: Laplace, thetas: FloatArray, spare: float
 ) -> Region:
-    """A mesh region that holds draws ``thetas`` and ``spare`` of their range on either side."""
+    """A mesh region that holds draws ``thetas`` and ``spare`` of their range on either side.
+
+    It also holds the point of expansion: where the data hardly hold a lag, all draws of the
+    Gaussian may lie below zero, and a region without any lag would be none.
+    """
+    thetas = np.concatenate([thetas, laplace.theta[None]])
     low, high = compressed.region.low.copy(), compressed.region.high.copy()
     layout = laplace.coordinates.problem.layout
     extra = range(len(layout) - len(layout.extra), len(layout))

@@ -113,3 +113,8 @@ def test_lags_without_names_say_what_would_name_them() -> None:
     (found,) = fit.inseparable
     assert found.parameters == ("tau_v_s", "tau_probe_s")
     assert any("tau_v measured elsewhere" in text for text in fit.warnings)
+
+
+def test_a_size_of_noise_at_zero_has_a_huge_variance_that_is_still_a_number() -> None:
+    case = replace(two_sensors(9.0), sigma1=0.0)
+    assert common_to_sensors(Problem(case.design), case.theta) is None

@@ -19,6 +19,7 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.laplace import (
     Laplace,
     approximate,
+    covering_region,
     draw_root,
     expand,
     log_posteriors,
@@ -230,6 +231,21 @@ def test_a_mesh_that_was_widened_once_is_wide_enough() -> None:
     assert (wide.region.high > narrow.high).any()
     _, again = approximate(problem, theta, wide)
     assert again is wide
+
+
+def test_a_region_holds_lags_above_zero_where_every_draw_lies_below() -> None:
+    problem, theta = small_problem(n=2, interval=0.05)
+    laplace, mesh = approximate(problem, theta)
+    volume = problem.layout.index("V_mL")
+    place = laplace.coordinates.names.index("V_mL")
+    mean = laplace.mean.copy()
+    mean[place] = -50.0 * laplace.theta[volume]
+    astray = replace(laplace, mean=mean)
+    draws, _ = astray.draw(50, np.random.default_rng(1))
+    assert (draws[:, volume] < 0.0).all()
+    region = covering_region(mesh, astray, draws, 0.4)
+    assert 0.0 < region.low[volume] < laplace.theta[volume] < region.high[volume]
+    assert np.isfinite(compress(problem, laplace.theta, region).log_likelihood(laplace.theta))
 
 
 def test_curvatures_are_taken_where_tau_squared_is_positive() -> None:
