@@ -206,15 +206,15 @@ def _offset(text: str) -> int:
 def _day_numbers(texts: list[str], codes: IntArray) -> IntArray | int:
     """(n_unique,) days since 1970, or the place of a text that is no date.
 
-    Whether 3/5/2024 is in March or in May is settled by a number above 12, else by the order in
-    which the shorter time passes.
+    Whether 3/5/24 is in March, in May or in 2003 is settled by a number that no month or day has,
+    else by the order in which the shortest time passes.
     """
     found: list[IntArray] = []
     wrong = 0
-    for day_first in (True, False) if "." in texts[0] else (False, True):
+    for order in ("dmy", "mdy", "ymd") if "." in texts[0] else ("mdy", "dmy", "ymd"):
         numbers = []
         for i, text in enumerate(texts):
-            number = _day_number(text, day_first)
+            number = _day_number(text, order)
             if number is None:
                 wrong = i
                 break
@@ -227,7 +227,7 @@ def _day_numbers(texts: list[str], codes: IntArray) -> IntArray | int:
 
 
 @cache
-def _day_number(text: str, day_first: bool) -> int | None:
+def _day_number(text: str, order: str) -> int | None:
     try:
         if re.fullmatch(r"\d{8}", text):
             parts = [int(text[:4]), int(text[4:6]), int(text[6:])]
@@ -238,10 +238,8 @@ def _day_number(text: str, day_first: bool) -> int | None:
             parts = [numbers[1], _MONTHS.index(word[:3].casefold()) + 1, numbers[0]]
         else:
             parts = [int(part) for part in re.split(r"[-/.]", text)]
-            if parts[0] < 1000 and parts[2] < 1000 and len(text) <= 8 and parts[0] > 31:
-                pass  # 24-03-05 with a year above 31
-            elif parts[0] < 1000:
-                parts = parts[::-1] if day_first else [parts[2], parts[0], parts[1]]
+            if parts[0] < 1000:
+                parts = [parts[order.index(each)] for each in "ymd"]
         year = parts[0] + 2000 if parts[0] < 100 else parts[0]
         return date(year, parts[1], parts[2]).toordinal() - date(1970, 1, 1).toordinal()
     except (ValueError, IndexError, StopIteration):
