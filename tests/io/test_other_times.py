@@ -63,16 +63,48 @@ def test_a_second_time_that_contradicts_is_remarked_on(
     np.testing.assert_allclose(agree["1"].t, T)
 
 
-@pytest.mark.parametrize("first", [45356.5, 739316.5])
+@pytest.mark.parametrize(
+    ("other", "n"),
+    [
+        (1.02 * T, 1),
+        (1.005 * T, 0),  # two clocks of one record
+        (T + 1.2 * (T == T[-1]), 1),
+        (np.tile(np.arange(20) * 50.0, 12), 0),  # milliseconds beside seconds, which begin again
+    ],
+    ids=["longer", "as long", "late at the end", "begins again"],
+)
+def test_how_far_two_clocks_may_disagree(tmp_path: Path, other: Any, n: int) -> None:
+    found = understood(written(tmp_path, ".csv", other, "elapsed_s"))
+    assert sum("counts time, too" in text for text in found.warnings) == n
+
+
+@pytest.mark.parametrize(("late", "n"), [(0.9, 0), (1.6, 1)])
+def test_clocks_may_differ_by_one_step_of_theirs(tmp_path: Path, late: float, n: int) -> None:
+    t = np.arange(40.0)  # one step is more than a hundredth of the record
+    other = t + late * (t == t[-1])
+    pd.DataFrame({"t": t, "y": Y[::6], "elapsed_s": other}).to_csv(tmp_path / "a.csv", index=False)
+    found = understood(tmp_path / "a.csv")
+    assert sum("counts time, too" in text for text in found.warnings) == n
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "days"),
+    [
+        (45356.5, 1 / 86400, True),
+        (739316.5, 1 / 86400, True),
+        (45356.5, 1.0, False),  # the seconds of a clock that began half a day ago
+        (19000.5, 1 / 86400, False),
+    ],
+)
 def test_days_without_a_word_are_not_taken_for_seconds_in_silence(
-    tmp_path: Path, first: float
+    tmp_path: Path, first: float, second: float, days: bool
 ) -> None:
     file = tmp_path / "a.csv"
     file.write_text(
         "time,V\n"
-        + "".join(f"{first + a / 86400:.10f},{b:.4f}\n" for a, b in zip(T, Y, strict=True))
+        + "".join(f"{first + a * second:.10f},{b:.4f}\n" for a, b in zip(T, Y, strict=True))
     )
-    assert any("look like days" in text for text in understood(file).warnings)
+    assert any("look like days" in text for text in understood(file).warnings) == days
 
 
 @pytest.mark.parametrize(
