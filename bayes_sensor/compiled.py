@@ -107,11 +107,28 @@ def compiled(*, inside: bool = False, **options: Any) -> Callable[[F], F]:
         if not hasattr(made, "py_func"):
             return function  # compilation is switched off
         made.source = _source(function)
+        kept = made._cache._cache_file
         # Numba would look at the function's own file alone, and at its date.
-        made._cache._cache_file._source_stamp = made.source
+        kept._source_stamp = made.source
+        kept._load_index = _empty_if_outdated(kept._load_index)
         return made  # type: ignore[no-any-return]
 
     return compile_later
+
+
+def _empty_if_outdated(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]]:
+    """What loads the index of kept code; nothing is kept where it names classes that are no more.
+
+    Numba unpickles the types of arguments before it compares the source.
+    """
+
+    def loaded() -> dict[Any, str]:
+        try:
+            return load()
+        except (AttributeError, ImportError):  # an earlier version had the class
+            return {}
+
+    return loaded
 
 
 def _source(function: Callable[..., Any]) -> str:
