@@ -1,13 +1,17 @@
 """An analysis answers stage by stage: what it prints, and what it leaves when it is killed."""
 
+import contextlib
+import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +30,7 @@ particles = 10
 euler = false
 [posterior]
 n_chains = 2
-target_ess = 400
+target_ess = 100
 [bounds]
 methods = ["crlb_iid", "crlb_ar1", "posterior"]
 step_study = false
@@ -60,19 +64,22 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.fixture(autouse=True)
-def no_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="module")
+def no_diagnosis() -> Iterator[None]:
     """Takes the diagnosis away, which is long and has its own tests: records too short for it."""
 
     def too_short(*_: Any, **__: Any) -> None:
         raise CampaignError("gap: too short")
 
-    monkeypatch.setattr(gap_step, "diagnosed", too_short)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gap_step, "diagnosed", too_short)
+        yield
 
 
 def arguments(place: Path, out: Path, *more: str) -> list[str | Path]:
     campaign, config = place / "c" / "campaign.toml", place / "quick.toml"
-    return ["analyze", campaign, "--out", out, "--config", config, "--jobs", "1", *more]
+    options = ["--out", out, "--config", config, "--jobs", "1", "--no-figures"]
+    return ["analyze", campaign, *options, *more]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -81,25 +88,47 @@ def contents(folder: Path) -> dict[str, bytes]:
         p.relative_to(folder).as_posix(): p.read_bytes()
         for p in sorted(folder.rglob("*"))
         if p.is_file() and p.name not in ("run.json", "report.html")
-    }
+        and not p.name.startswith(".") and "checkpoint" not in p.parts
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What an uninterrupted run says and leaves."""
+
+    out: str
+    err: str
+    left: dict[str, bytes]
 
 
 @pytest.fixture(scope="module")
-def whole(place: Path) -> dict[str, bytes]:
-    """What an uninterrupted run leaves."""
-    with pytest.MonkeyPatch.context() as patch:
-        no_diagnosis.__wrapped__(patch)  # type: ignore[attr-defined]
-        assert run(*arguments(place, place / "whole", "--quiet")) == 0
-    return contents(place / "whole")
+def whole(place: Path, no_diagnosis: None) -> Whole:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        assert run(*arguments(place, place / "whole")) == 0
+    return Whole(out.getvalue(), err.getvalue(), contents(place / "whole"))
+
+
+@pytest.fixture(scope="module")
+def early(place: Path) -> Path:
+    """What a process leaves that is killed once the fast posterior is there."""
+    out = place / "early"
+    command = [sys.executable, "-m", "bayes_sensor", *map(str, arguments(place, out, "--quiet"))]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 240
+        while process.poll() is None and time.monotonic() < deadline:
+            if (out / "posterior.json").is_file():
+                break
+            time.sleep(0.01)
+        process.kill()
+    return out
 
 
 def test_every_stage_has_one_line_in_order_and_no_control_character(
-    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    place: Path, whole: Whole
 ) -> None:
-    assert run(*arguments(place, tmp_path / "out")) == 0
-    said = capsys.readouterr()
-    assert not re.search(r"[^\n -\uffff]", said.out) and "\x1b" not in said.out + said.err
-    lines = said.out.splitlines()
+    assert not re.search(r"[^\n -\uffff]", whole.out) and "\x1b" not in whole.out + whole.err
+    lines = whole.out.splitlines()
     assert re.fullmatch("stages, about: " + ", ".join(f"{s} \\d+ s" for s in STAGES), lines[0])
     found = [match for line in lines if (match := LINE.fullmatch(line))]
     assert [match[1] for match in found] == STAGES
@@ -111,7 +140,7 @@ def test_every_stage_has_one_line_in_order_and_no_control_character(
     assert "emcee began from draws of hmc and agrees with them" in told["posterior"]
     assert told["bounds"].startswith("3 methods side by side")
     assert told["gap"] == "not diagnosed: gap: too short"
-    assert told["report"] == str(tmp_path / "out" / "report.html")
+    assert told["report"] == str(place / "whole" / "report.html")
 
 
 class Killed(BaseException):
@@ -122,113 +151,117 @@ def kill(*_: Any) -> None:
     raise Killed
 
 
-@pytest.mark.parametrize(
-    ("step", "place_of_death"), [("fast", 1), ("posterior", 2), ("bounds", 3), ("gap", 4)]
-)
-def test_what_is_done_survives_and_resume_goes_on(
-    place: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    whole: dict[str, bytes],
-    step: str,
-    place_of_death: int,
-) -> None:
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setitem(run_steps.TAKE, step, kill)
-        with pytest.raises(Killed):
-            run(*arguments(place, out, "--quiet"))
+def again(*_: Any) -> None:
+    pytest.fail("what is there was computed again")
+
+
+def has_the_first(n: int, out: Path) -> None:
+    """Whether a folder holds the results of the first ``n`` stages, whole, and no others."""
     there = {p.name for p in out.iterdir()}
     for i, stage in enumerate(STAGES):
-        assert set(FILES[stage]) <= there if i < place_of_death else not set(FILES[stage]) & there
+        assert set(FILES[stage]) <= there if i < n else not set(FILES[stage]) & there
     for path in out.glob("*.json"):
         json.loads(path.read_text())
-    left = bs.load(out)
-    assert left.fit is not None and (left.posterior is None) == (place_of_death < 2)
-    assert run("report", out, "--quiet") == 0
-    # what is there is not computed again; the fast posterior is where the other begins
-    with monkeypatch.context() as patch:
-        for done in ("fit", "residuals", "posterior", "bounds")[: max(2, place_of_death)]:
-            if done != step:
-                patch.setitem(run_steps.TAKE, done, kill)
-        assert run(*arguments(place, out, "--quiet", "--resume")) == 0
-    assert contents(out) == whole
+
+
+def test_a_killed_process_leaves_the_fast_posterior(early: Path) -> None:
+    has_the_first(2, early)
+    found = json.loads((early / "posterior.json").read_text())
+    assert found["converged"] and found["sampler"] in ("hmc", "emcee")
+    assert bs.load(early).posterior.sampler == found["sampler"]
+
+
+def test_what_is_done_survives_and_resume_goes_on(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Whole, early: Path
+) -> None:
+    """Killed in one stage after the other."""
+    out = tmp_path / "out"
+    shutil.copytree(early, out)
+    done = ["fit", "residuals"]  # of the fast posterior, the other begins
+    for n, step in ((3, "bounds"), (4, "gap")):
+        with monkeypatch.context() as patch:
+            for name in done:
+                patch.setitem(run_steps.TAKE, name, again)
+            patch.setitem(run_steps.TAKE, step, kill)
+            with pytest.raises(Killed):
+                run(*arguments(place, out, "--quiet", "--resume"))
+        has_the_first(n, out)
+        left = bs.load(out)
+        assert left.fit is not None and left.posterior is not None
+        assert (left.bounds is None) == (n < 4)
+        assert run("report", out, "--quiet", "--no-figures") == 0
+        (out / "report.html").unlink()
+        done += ["fast", "posterior"] if n == 3 else ["bounds"]
+    for name in done:
+        monkeypatch.setitem(run_steps.TAKE, name, again)
+    assert run(*arguments(place, out, "--quiet", "--resume")) == 0
+    assert contents(out) == whole.left
     entry = json.loads((out / "run.json").read_text())["commands"]["analyze"]
     assert entry["exit_code"] == 0 and entry["steps"][-1] == "gap"
 
 
-def test_a_killed_process_leaves_the_fast_posterior(place: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "bayes_sensor", *map(str, arguments(place, out, "--quiet"))]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        deadline = time.monotonic() + 240
-        while process.poll() is None and time.monotonic() < deadline:
-            if (out / "posterior.json").is_file():
-                break
-            time.sleep(0.01)
-        process.kill()
-    found = json.loads((out / "posterior.json").read_text())
-    assert found["converged"] and found["sampler"] in ("hmc", "emcee")
-    assert bs.load(out).posterior.sampler == found["sampler"]
-
-
-@pytest.mark.parametrize("seed", ["1", "2"])
-def test_earlier_results_stay_until_all_new_ones_are_there(
-    place: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    whole: dict[str, bytes],
-    seed: str,
+def test_the_fit_alone_survives(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Whole
 ) -> None:
     out = tmp_path / "out"
-    monkeypatch.setitem(run_steps.TAKE, "bounds", kill)
-    out.mkdir()
-    for path in (place / "whole").iterdir():
-        if path.is_file():
-            (out / path.name).write_bytes(path.read_bytes())
-    with pytest.raises(Killed):
-        run(*arguments(place, out, "--quiet", "--seed", seed))
-    now = contents(out)
-    assert {name: now[name] for name in whole if "/" not in name} == {
-        name: content for name, content in whole.items() if "/" not in name
-    }
+    monkeypatch.setitem(run_steps.TAKE, "fast", kill)
+    for more in ((), ("--resume",)):
+        with pytest.raises(Killed):
+            run(*arguments(place, out, "--quiet", *more))
+        has_the_first(1, out)
+        monkeypatch.setitem(run_steps.TAKE, "fit", again)
+    left = bs.load(out)
+    assert left.fit is not None and left.posterior is None
+    assert all(whole.left[name] == (out / name).read_bytes() for name in FILES["fit"])
+
+
+def test_earlier_results_stay_until_all_new_ones_are_there(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Whole
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(place / "whole", out)
+    monkeypatch.setitem(run_steps.TAKE, "posterior", kill)
+    with pytest.raises(Killed):  # the fast posterior of this seed is other than what is there
+        run(*arguments(place, out, "--quiet", "--seed", "2"))
+    assert contents(out) == whole.left
 
 
 def test_another_seed_takes_nothing_over(
-    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, early: Path
 ) -> None:
     out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setitem(run_steps.TAKE, "bounds", kill)
-        with pytest.raises(Killed):
-            run(*arguments(place, out, "--quiet"))
-        before = (out / "posterior.json").read_bytes()
-        patch.setitem(run_steps.TAKE, "fit", kill)
-        with pytest.raises(Killed):
-            run(*arguments(place, out, "--quiet", "--seed", "2", "--resume"))
-    assert (out / "posterior.json").read_bytes() == before
+    shutil.copytree(early, out)
+    monkeypatch.setitem(run_steps.TAKE, "fit", kill)
+    with pytest.raises(Killed):
+        run(*arguments(place, out, "--quiet", "--seed", "2", "--resume"))
+    assert contents(out) == contents(early)
 
 
 def test_quick_ends_with_the_fast_posterior_and_the_rest_can_follow(
     place: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    whole: dict[str, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+    early: Path,
 ) -> None:
     out = tmp_path / "out"
-    assert run(*arguments(place, out, "--quick", "--no-figures")) == 0
+    assert run(*arguments(place, out, "--quick")) == 0
     lines = capsys.readouterr().out.splitlines()
     found = [match[1] for line in lines if (match := LINE.fullmatch(line))]
     assert found == ["fit", "fast posterior", "report"]
     posterior = json.loads((out / "posterior.json").read_text())
     assert posterior["sampler"] == "hmc" and posterior["began_from"] is None
     assert not {"bounds.json", "gap.json"} & {p.name for p in out.iterdir()}
-    assert {p.name for p in (out / "figures").iterdir()} <= {"chain.svg"}
+    assert {p.name for p in out.glob("figures/*")} <= {"chain.svg"}
     assert "tau" in (out / "report.html").read_text(encoding="utf-8")
-    assert run(*arguments(place, out, "--quiet", "--resume")) == 0
-    after = contents(out)
-    assert {n for n in after if "/" not in n} == {n for n in whole if "/" not in n}
-    assert all(after[n] == whole[n] for n in whole if "/" not in n)
+    # what a run that is not quick left at that point, which is known to go on
+    results = contents(early)
+    assert {name: (out / name).read_bytes() for name in results} == results
+    for name in ("fit", "residuals"):
+        monkeypatch.setitem(run_steps.TAKE, name, again)
+    monkeypatch.setitem(run_steps.TAKE, "fast", kill)
+    with pytest.raises(Killed):
+        run(*arguments(place, out, "--quiet", "--resume"))
 
 
 def test_quick_without_a_posterior_says_so(
