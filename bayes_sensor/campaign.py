@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ __all__ = [
     "Experiment",
     "FloatArray",
     "SideInformation",
+    "Tie",
     "counted",
 ]
 
@@ -70,6 +71,14 @@ class SideInformation:
             )
 
 
+class Tie(NamedTuple):
+    """The lag or volume ``name`` is ``factor`` times ``to``; both are flat names."""
+
+    name: str
+    to: str
+    factor: float
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """Step experiments on one rig with one sensor.
@@ -93,6 +102,9 @@ class Campaign:
     row commute, so the data give their values and not their names"""
     stages: tuple[str, ...] = STAGES
     """what the gas passes, in order, as ``[rig] stages`` has them"""
+    ties: tuple[Tie, ...] = ()
+    """lags and volumes that are another one, or a multiple of it
+    (:func:`bayes_sensor.rig.ties.tie_parameters`)"""
     coating: str = ""
     """``zif8`` where the sensor has the published coating: then tau is compared with its diffusion,
     and the report with what was published"""
@@ -156,8 +168,8 @@ class Campaign:
             ``commanded_off``, ``signal``, ``drive``, ``signal_unit``, ``time``, ``interval``,
             ``keep``, ``mask``), each for all experiments, a mapping by their names or a list in
             their order (lists such as ``keep`` by mapping only); and ``title``, ``stages``,
-            ``sensor_is``, ``side_information``, ``conditions``.  Quantities are texts with units or
-            numbers in s and mL/s; ``concentration`` as a number is a share between 0 and 1.
+            ``sensor_is``, ``tie``, ``side_information``, ``conditions``.  Quantities are texts with
+            units or numbers in s and mL/s; ``concentration`` as a number is a share from 0 to 1.
 
         Raises
         ------

@@ -34,6 +34,7 @@ def analyze(
     *,
     priors: Mapping[str, Any] | None = None,
     fix: Mapping[str, Any] | None = None,
+    tie: Mapping[str, str] | None = None,
     noise: Mapping[str, Any] | None = None,
     sampler: str | None = None,
     settings: Settings | Mapping[str, Any] | None = None,
@@ -64,6 +65,9 @@ def analyze(
     fix
         parameters held at a value, such as ``{"tau_v": "0.86 s"}``; numbers are in s, mL and the
         signal's unit.
+    tie
+        lags and volumes that are another one or a multiple of it, such as
+        ``{"tau[B]": "2 * tau[A]"}``.
     noise
         the noise law: ``variance``, ``autocorrelation``, ``per_experiment`` (:class:`Noise`).
     sampler, settings
@@ -97,7 +101,7 @@ def analyze(
         raise CampaignError(f"seed: expected a whole number from 0, but got {seed!r:.40}")
     seed = index(seed)
     label = "analyze" if config is None else Path(config).name
-    more = {"priors": priors, "fix": fix, "noise": noise}
+    more = {"priors": priors, "fix": fix, "tie": tie, "noise": noise}
     overrides = read_overrides(
         None if config is None else Path(config),
         _sampling(sampler, settings),
@@ -149,6 +153,11 @@ def _given(campaign: Any, overrides: Overrides, told: bool) -> tuple[Path | Camp
                 "analyze: a Problem brings its own noise law and priors and is analysed with the "
                 "chain of stages; expected one without another model, and no priors or noise "
                 "beside it: give its campaign, or call fit_least_squares and sample_posterior"
+            )
+        if campaign.held:
+            raise CampaignError(
+                "analyze: the Problem has parameters that are held; expected them beside it: give "
+                "its campaign, with fix, priors and noise"
             )
         law = type(overrides.noise)(**asdict(campaign.noise))
         own = {"noise": law, "priors": dict(campaign.given_priors)}

@@ -37,7 +37,7 @@ def run_bounds(job: Job) -> None:
         theta = _named_theta(job) if asked.explain else None
         if asked.explain and theta is None:
             record["not_explained"] = (
-                NOT_EXPLAINED if job.problem.layout.one_sensor else SEVERAL_SENSORS
+                NOT_EXPLAINED if not job.problem.layout.sensors_are_named else SEVERAL_SENSORS
             )
         elif theta is not None:
             tell(0.95, "what makes tau hard")
@@ -74,7 +74,7 @@ def _named_theta(job: Job) -> dict[str, Any] | None:
     from bayes_sensor.fit.side_information import named_parameters
 
     naming, theta = naming_of(job), reference_theta(job)
-    if naming.order == "undecided" or not job.problem.layout.one_sensor:
+    if naming.order == "undecided" or job.problem.layout.sensors_are_named:
         return None
     nested: dict[str, Any] = job.problem.layout.nested(theta)
     return {**nested, **named_parameters(naming, theta)}

@@ -157,6 +157,7 @@ class Overrides(OverrideTable):
     noise: NoisePart = Field(default_factory=NoisePart)
     priors: dict[str, PriorText] = Field(default_factory=dict)
     fix: dict[str, FixedText] = Field(default_factory=dict)
+    tie: dict[str, str] = Field(default_factory=dict)
     fit: FitPart = Field(default_factory=FitPart)
     posterior: PosteriorPart = Field(default_factory=PosteriorPart)  # type: ignore[valid-type]
     bounds: BoundsPart = Field(default_factory=BoundsPart)
@@ -165,14 +166,12 @@ class Overrides(OverrideTable):
         """Everything as plain values, for run.json."""
         found = self.model_dump()
         found["priors"] = {name: _plain(law) for name, law in self.priors.items()}
-        if not self.fix:
-            found.pop("fix")
-        return found
+        return {key: table for key, table in found.items() if table or key not in ("fix", "tie")}
 
     def basis(self) -> dict[str, Any]:
         """Settings that say what is computed, for the digest of what a result rests on."""
         record = self.record()
-        return {key: record[key] for key in ("noise", "priors", "fix") if key in record}
+        return {key: record[key] for key in ("noise", "priors", "fix", "tie") if key in record}
 
     def sampler_settings(self) -> Settings:
         """The record that the samplers take."""
@@ -266,9 +265,12 @@ def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any])
 
 
 def make_problem(campaign: Campaign, overrides: Overrides, label: str) -> Problem:
-    """The campaign with the noise law, the priors and the held values that were asked for."""
+    """The campaign with the noise law, the priors and the held and tied values that were asked
+    for."""
     noise = overrides.noise.model_dump()
-    return problem_settings.make_problem(campaign, overrides.priors, overrides.fix, noise, label)
+    return problem_settings.make_problem(
+        campaign, overrides.priors, overrides.fix, noise, label, overrides.tie
+    )
 
 
 def fit_bounds(

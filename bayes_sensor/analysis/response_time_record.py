@@ -53,11 +53,12 @@ def _systems(job: Job) -> list[tuple[str, float | None, Any]]:
     for k, e in enumerate(job.problem.campaign):
         name = f"sensor {e.sensor}".strip()
         if name not in [known for known, _, _ in sensors]:
-            sensors.append((name, None, response_times([named[:, layout.shared[k, 0]]])))
+            place, factor = layout.stage_sources[k][0]
+            sensors.append((name, None, response_times([named[:, place] * factor])))
         flow = e.total_flow if layout.rig.needs_flow else float("nan")
         where = (f"chain to {e.sensor}" if e.sensor else "chain", flow if flow == flow else -1.0)
         if where not in chains:
-            taus = layout.rig.taus(draws[:, layout.shared[k]].T, flow)
+            taus = layout.rigs[k].taus(draws[:, layout.shared[k]].T, flow)
             chains[where] = (where[0], flow, response_times(taus))
     return [*sensors, *(chains[where] for where in sorted(chains))]
 

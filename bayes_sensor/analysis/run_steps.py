@@ -125,6 +125,7 @@ def run_steps(
             "experiments; give every experiment a file, or run simulate first"
         )
     problem = make_problem(campaign, overrides, label)
+    campaign = problem.campaign  # with the ties of the settings
     fit_bounds(problem, overrides, label)
     if command == "gap" and overrides.noise != type(overrides.noise)():
         LOG.warning(

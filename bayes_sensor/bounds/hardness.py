@@ -158,7 +158,7 @@ def explain_tau(
     # information needs no data
     bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)
     design = replace(problem, campaign=replace(problem.campaign, experiments=bare))
-    if not layout.one_sensor:
+    if layout.sensors_are_named:
         raise CampaignError(
             "explain_tau: there are several sensors; give it a campaign with one of them"
         )

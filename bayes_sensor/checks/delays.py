@@ -168,7 +168,7 @@ def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any =
     everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)
     lines: list[RegressionLine | None] = []
     for kind, column in (("t0_s", 2), ("tf_s", 3)):
-        names, x, y, positions = [], [], [], []
+        names, records, x, y, positions = [], [], [], [], []
         recorded = False
         for k, e in enumerate(campaign):
             if not problem.layout.switching[k].is_pulse:
@@ -179,6 +179,7 @@ def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any =
             if commanded is None or position < 0 or not e.flow_known or position in positions:
                 continue
             names.append(e.name)
+            records.append(e.record_name)  # whose switches these are, where it has several sensors
             x.append(1000.0 / e.total_flow)
             y.append(float(vector[position]) - commanded)
             positions.append(position)
@@ -187,7 +188,7 @@ def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any =
             continue
         covariance = None if everything is None else everything[np.ix_(positions, positions)]
         if posterior is not None and names:
-            covariance = _posterior_covariance(posterior, kind, names)
+            covariance = _posterior_covariance(posterior, kind, records)
         given = posterior is not None
         lines.append(regress_line(names, np.array(x), np.array(y), covariance, given))
     start, end = lines
@@ -215,14 +216,14 @@ def _covariance_of_fit(problem: Problem, fit: DelayFit, vector: FloatArray) -> F
 
 
 def _posterior_covariance(posterior: Any, kind: str, names: Sequence[str]) -> FloatArray:
-    """(n, n) s^2, of the switch times of these experiments."""
+    """(n, n) s^2, of the switch times of these records."""
     if hasattr(posterior, "of"):
         draws = np.array([posterior.of(f"{kind}[{name}]") for name in names])
     elif hasattr(posterior, "sd"):
         return np.diag([float(posterior.sd(f"{kind}[{name}]")) ** 2 for name in names])
     else:
         found = posterior.inference_data.posterior[kind.removesuffix("_s")]
-        draws = np.array([found.sel(experiment=name).values.ravel() for name in names])
+        draws = np.array([found.sel({found.dims[-1]: name}).values.ravel() for name in names])
     return np.atleast_2d(np.cov(draws))
 
 

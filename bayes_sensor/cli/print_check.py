@@ -13,6 +13,7 @@ from bayes_sensor.campaign import CampaignError, counted
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
 from bayes_sensor.io.untrusted import LARGEST_FILE, read_bytes
+from bayes_sensor.rig.ties import tie_texts
 
 FIGURE = "check.png"
 WIDEST = 40
@@ -72,6 +73,8 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
         rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
     print("\n".join(lined_up(rows, left=1)))
     print(f"rig: {', '.join(campaign.stages)}; which lag is the sensor: {campaign.sensor_is}")
+    for name, to in tie_texts(campaign.ties).items():
+        print(f"tied: {name} = {to}")
     for name, info in campaign.side_information.items():
         print(f"known beforehand: {name} = {info.mean:g} +- {info.sd:g}")
     for remark in remarks:

@@ -12,7 +12,7 @@ the parameters that it alone leaves open so far cannot be told apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
 
@@ -154,8 +154,12 @@ def volumes_without_names(problem: Problem) -> Inseparable | None:
 
 def volumes_that_commute(problem: Problem) -> tuple[str, ...]:
     """Flat names of the volumes with one lag each."""
-    rig = problem.layout.rig
-    return tuple(name for name in rig.lags_that_commute(True) if name.startswith("V_"))
+    layout = problem.layout
+    return tuple(
+        name
+        for name in layout.rig.lags_that_commute(True)
+        if name.startswith("V_") and name in layout.shared_names and layout.alone(name)
+    )
 
 
 def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | None:
@@ -165,7 +169,11 @@ def common_to_sensors(problem: Problem, vector: FloatArray) -> Inseparable | Non
     (n_theta,): the fit.  The squares are compared, whose information is regular.
     """
     layout = problem.layout
-    n = len(layout.sensor_names)
+    if layout.ties and layout.n_own:  # do the data tell the sensors' lags apart without the ties?
+        values = layout.nested(vector)
+        problem = replace(problem, campaign=replace(problem.campaign, ties=()))
+        layout, vector = problem.layout, problem.layout.flat(values)
+    n = layout.n_own
     shared = [name for name in layout.rig.lags_that_commute() if name != "tau_s"]
     known = [name for name in layout.shared_names[:n] if name in problem.named_laws]
     if n < 2 or not shared or known or any(name in problem.named_laws for name in shared):
@@ -250,9 +258,7 @@ def _groups(problem: Problem) -> list[list[int]]:
     volumes = [places[name] for name in volumes_that_commute(problem)]
     rest = [i for i in volumes if i not in commuting.places]
     groups += [rest] if rest else []
-    if not layout.one_sensor:
-        groups += [[i] for i in range(len(layout.sensor_names))]
-    return groups
+    return groups + [[i] for i in range(layout.n_own)]
 
 
 def _coordinates(
@@ -291,10 +297,9 @@ def _delays(problem: Problem) -> FloatArray:
     layout = problem.layout
     n = layout.n_mean
     found = np.zeros((n, n))
-    first = 0 if layout.one_sensor else len(layout.sensor_names)
     for k, e in enumerate(problem.campaign):
         for i in layout.switches(k):
-            for j in range(first, layout.n_shared):
+            for j in range(layout.n_own, layout.n_shared):
                 volume = layout.shared_names[j].startswith("V_")
                 found[i, j] = 1.0 / e.total_flow if volume else 1.0
     return found

@@ -69,12 +69,13 @@ class _Fitted:
 def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     """How many lags the data support; None where nothing can be compared.
 
-    That is so where the model is not the exact chain, a parameter is held, a stage is neither a lag
-    nor a volume, or the fit has no step or no noise to judge by.
+    That is so where the model is not the exact chain, a parameter is held or tied, a stage is
+    neither a lag nor a volume, or the fit has no step or no noise to judge by.
     """
     problem = as_problem(campaign)
     model = problem.model
     plain = type(model) is Cascade and model.method == "exact" and not problem.held
+    plain = plain and not problem.campaign.ties
     kinds = [stage.kind.name for stage in problem.layout.rig.stages]
     if not plain or fit.cannot_tell or not fit.step_seen or not set(kinds) <= set(KINDS_COUNTED):
         return None
@@ -166,7 +167,7 @@ def _as_one_lag(problem: Problem, theta: FloatArray, alone: Problem) -> FloatArr
     for k, e in enumerate(problem.campaign):
         taus = layout.taus(theta, k, e.total_flow)
         width = float(np.sqrt((taus**2).sum()))
-        wide.setdefault(int(other.shared[k, 0]), []).append(width)
+        wide.setdefault(int(other.shared[k][0]), []).append(width)
         moved |= {int(i): float(taus.sum()) - width for i in other.switches(k)}
     for place, widths in wide.items():
         found[place] = float(np.median(widths))
@@ -266,8 +267,7 @@ def _without_lag(problem: Problem, vector: FloatArray, less: LagNumbers) -> Floa
     """
     layout, campaign = problem.layout, problem.campaign
     volumes = [i for i, name in enumerate(layout.shared_names) if name.startswith("V_")]
-    first = 0 if layout.one_sensor else len(layout.sensor_names)
-    flat = [i for i in range(first, layout.n_shared) if i not in volumes]
+    flat = [i for i in range(layout.n_own, layout.n_shared) if i not in volumes]
     some = volumes if less.volumes < len(volumes) else flat
     gone = min(some, key=lambda i: float(vector[i]))
     start = np.array(vector)

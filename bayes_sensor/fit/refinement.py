@@ -93,7 +93,7 @@ class Squares:
             x, index, slopes = response_slopes(t, theta, self.layout, k, e.total_flow)
         else:
             x, index, slopes = euler_slopes(t, theta, self.layout, k, e)
-        n = len(self.layout.rig.names)
+        n = len(self.layout.shared[k])
         columns = [*index[:n].tolist(), i_y0, i_beta, *index[n:].tolist()]
         J = np.empty((len(t), len(columns)))
         J[:, :n] = beta * slopes[:, :n]

@@ -80,11 +80,11 @@ class SwarmProblem:
 
     def _lags(self, Z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, n_exp, n_lags) s and the delays of the stages (n, n_exp) s at positions (n, n_z)."""
-        layout, rig = self.problem.layout, self.problem.layout.rig
+        layout = self.problem.layout
         shared = np.exp(Z[:, : layout.n_shared])
         lags, delays = [], []
         for k, e in enumerate(self.problem.campaign):
-            values = shared[:, layout.shared[k]].T
+            values, rig = shared[:, layout.shared[k]].T, layout.rigs[k]
             lags.append(rig.taus(values, e.total_flow).T)
             delays.append(np.broadcast_to(rig.delay(values, e.total_flow), len(Z)))
         return np.ascontiguousarray(np.stack(lags, axis=1)), np.stack(delays, axis=1)

@@ -47,7 +47,7 @@ _NOT_HERE = {
     "duration": "a design is a campaign.toml without files",
     "allow_outside": "leave it out",
 }
-_OF_RIG = ("stages", "sensor_is")
+_OF_RIG = ("stages", "sensor_is", "tie")
 
 
 def campaign_from_frames(frames: Any, keys: Mapping[str, Any]) -> Campaign:

@@ -15,6 +15,7 @@ from typing import Any
 from bayes_sensor import __version__
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.io.json_files import plain, sha256
+from bayes_sensor.rig.ties import tie_texts
 
 RUN_VERSION = 1
 
@@ -55,6 +56,7 @@ def campaign_record(
         "same_flow": campaign.same_flow,
         "stages": list(campaign.stages),
         "sensor_is": campaign.sensor_is,
+        **({"ties": tie_texts(campaign.ties)} if campaign.ties else {}),
         **({"coating": campaign.coating} if campaign.coating else {}),
         "n_samples": campaign.n_samples,
         "side_information": {

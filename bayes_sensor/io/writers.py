@@ -18,6 +18,7 @@ import numpy as np
 from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.experiment import runs_of
 from bayes_sensor.io.disk import write_bytes
+from bayes_sensor.rig.ties import tie_texts
 
 FORMATS = ("csv", "picoscope-csv", "mat", "npz")
 """what :func:`write_campaign` can write"""
@@ -211,6 +212,9 @@ def campaign_text(campaign: Campaign, files: Mapping[str, Mapping[str, str]]) ->
         rig.append(f"stages = [{', '.join(map(_quoted, campaign.stages))}]")
     if campaign.sensor_is != "unknown":
         rig.append(f'sensor_is = "{campaign.sensor_is}"')
+    if campaign.ties:
+        ties = (f"{_quoted(name)} = {_quoted(to)}" for name, to in tie_texts(campaign.ties).items())
+        rig.append(f"tie = {{{', '.join(ties)}}}")
     if rig:
         lines += ["[rig]", *rig, ""]
     if campaign.side_information:

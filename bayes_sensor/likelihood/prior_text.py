@@ -22,7 +22,7 @@ from bayes_sensor.rig.layout import Layout, unit_of
 
 _KINDS = ("half-normal", "log-normal", "normal", "uniform", "log-uniform", "flat")
 _CALL = re.compile(r"\s*([A-Za-z_-]+)\s*(?:\(([^()]*)\))?\s*(\S.*)?", re.DOTALL)
-_UNIT = re.compile(r"_(s|mL|V)$")
+_UNIT = re.compile(r"_(s|mL|V)(?=\[|$)")
 _NUMBER = re.compile(r"[-+0-9.eE]+")
 
 
@@ -41,7 +41,7 @@ def _kind_of(name: str, unit: str) -> Kind | None:
 def flat_names(key: str, layout: Layout, where: str) -> list[str]:
     """The flat names that a key stands for: ``tau``, ``t0`` (all experiments) or ``t0[4]``.
 
-    Raises CampaignError, with the nearest known key, if there are none.
+    Raises CampaignError, with the nearest known key, if there are none; and for one that is tied.
     """
     short: dict[str, list[str]] = {}
     for name in layout.names:
@@ -53,6 +53,12 @@ def flat_names(key: str, layout: Layout, where: str) -> list[str]:
                 short.setdefault(f"{alias}[{rest}", []).append(name)
     if key in short:
         return short[key]
+    for name, (to, _) in layout.sources.items():
+        if key in (name, _UNIT.sub("", name)):
+            raise CampaignError(
+                f"{where}: it is tied to {to}; expected a parameter that is free: write "
+                f'"{_UNIT.sub("", to)}" or remove the tie'
+            )
     known = sorted({_UNIT.sub("", n.split("[")[0]) for n in layout.names})
     close = difflib.get_close_matches(key, [k for k in short if "_" not in k[-3:]], n=1, cutoff=0.5)
     hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"

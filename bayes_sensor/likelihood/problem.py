@@ -62,12 +62,22 @@ class Problem:
 
     @cached_property
     def named_laws(self) -> dict[str, Prior]:
-        """What is known of shared parameters by name: side information, or a given prior."""
-        known = {
-            name: Prior("normal", info.mean, info.sd)
-            for name, info in self.campaign.side_information.items()
-        }
-        shared = self.layout.shared_names
+        """What is known of shared parameters by name: side information, or a given prior.
+
+        Raises CampaignError where two of parameters that are tied have side information.
+        """
+        known: dict[str, Prior] = {}
+        shared, sources = self.layout.shared_names, self.layout.sources
+        for name, info in self.campaign.side_information.items():
+            if name not in sources:
+                continue
+            source, factor = sources[name]
+            if source in known:
+                raise CampaignError(
+                    f"side information on {name}: what it is tied to has side information as well; "
+                    "expected one of them: remove the other"
+                )
+            known[source] = Prior("normal", info.mean / factor, info.sd / factor)
         return {name: law for name, law in {**known, **self.given_priors}.items() if name in shared}
 
     @cached_property

@@ -10,6 +10,7 @@ from bayes_sensor.likelihood.held_values import held_values
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.prior_text import read_priors
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.ties import tie_parameters, tie_texts
 
 
 def make_problem(
@@ -18,6 +19,7 @@ def make_problem(
     fix: Mapping[str, str | float] | None = None,
     noise: Noise | Mapping[str, Any] | None = None,
     label: str = "make_problem",
+    tie: Mapping[str, str] | None = None,
 ) -> Problem:
     """A campaign with priors, held parameters and a noise law of one's own.
 
@@ -34,11 +36,14 @@ def make_problem(
         a :class:`Noise`, or its options.
     label
         what messages call the settings.
+    tie
+        lags and volumes that are another one or a multiple of it, such as
+        ``{"tau[B]": "2 * tau[A]"}``, in addition to the campaign's own (``Campaign.ties``).
 
     Raises
     ------
     CampaignError
-        For an unknown name, or what is no prior or no value.
+        For an unknown name, what is no prior or no value, or ties that make no sense.
 
     Examples
     --------
@@ -59,6 +64,9 @@ def make_problem(
         law = noise if isinstance(noise, Noise) else Noise(**(noise or {}))
     except TypeError as error:
         raise CampaignError(f"{label}: noise: {error}; expected the options of Noise") from None
+    if tie:
+        texts = {**tie_texts(campaign.ties), **tie}
+        campaign = tie_parameters(campaign, texts, f"{label}: [tie]")
     bare = Problem(campaign, noise=law)
     unit = campaign.signal_unit
     given = read_priors(priors or {}, bare.layout, unit, f"{label}: [priors]")

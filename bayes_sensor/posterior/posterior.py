@@ -130,7 +130,7 @@ class Posterior(Draws):
             flow = e.total_flow if layout.rig.needs_flow else 0.0
             which = (e.sensor, flow)
             if which not in known:
-                times = response_times(layout.rig.taus(some[:, layout.shared[k]].T, flow))
+                times = response_times(layout.rigs[k].taus(some[:, layout.shared[k]].T, flow))
                 known[which] = {
                     f"{key}_s": {
                         f"q{percent:g}": float(value)

@@ -28,7 +28,7 @@ def flow_of_both(problem: Problem) -> float | None:
     are equal."""
     if problem.flow is not None or problem.fixed.keys() & {"tau_v_s", "V_mL"}:
         return None
-    if problem.layout.rig.names != PUBLISHED.names or not problem.layout.one_sensor:
+    if problem.layout.shared_names != PUBLISHED.names or problem.layout.sensors_are_named:
         return None
     flows = np.array([e.total_flow for e in problem.campaign])
     middle = float(np.median(flows))

@@ -122,7 +122,7 @@ def posterior_lags(posterior: Any, at: str = "rig", flow: float | None = None) -
     posterior = getattr(posterior, "posterior", posterior)
     _check_place(at)
     layout = posterior.problem.layout
-    if not layout.one_sensor:
+    if layout.sensors_are_named:
         raise CampaignError(
             f"the posterior has {len(layout.sensor_names)} sensors, and a record has the lag of "
             "one; expected a campaign with one sensor: write signal in place of signals"

@@ -179,7 +179,7 @@ def response(
 
     ``interval``: s, where ``t`` is ``t[0] + i * interval``; then by recurrence, many times faster.
     """
-    rig, switching = layout.rig, layout.switching[k]
+    rig, switching = layout.rigs[k], layout.switching[k]
     shared = theta[layout.shared[k]]
     x = rig.passed(t, shared, flow, switching.drive(theta[layout.switches(k)]), interval)
     return switching.level_before + x if switching.level_before else x
@@ -195,7 +195,7 @@ def response_slopes(
 ) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """:func:`response` (n_t,), positions in theta (m,) of what moves it, and the derivatives by
     these (n_t, m)."""
-    rig, switching = layout.rig, layout.switching[k]
+    rig, switching = layout.rigs[k], layout.switching[k]
     shared, places = theta[layout.shared[k]], layout.switches(k)
     values = theta[places]
     x = rig.passed(t, shared, flow, switching.drive(values), interval)

@@ -100,9 +100,11 @@ class Commuting:
         """Of a campaign. Several sensors tell their own lags from those that they share."""
         rig = layout.rig
         one_flow = rig.needs_flow and campaign.same_flow
-        names = rig.lags_that_commute(one_flow)
-        if not layout.one_sensor:
-            names = tuple(name for name in names if name in layout.shared_names)
+        names = tuple(
+            name
+            for name in rig.lags_that_commute(one_flow)
+            if name in layout.shared_names and layout.alone(name)
+        )
         flow = None
         if one_flow and any(name.startswith("V_") for name in names):
             flow = campaign.experiments[0].total_flow

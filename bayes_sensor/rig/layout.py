@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isclose
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray
+from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray, Tie
 from bayes_sensor.display import record_card
 from bayes_sensor.rig.rig import PUBLISHED, Rig
 from bayes_sensor.rig.switching import Switching
@@ -58,7 +59,8 @@ class Layout:
     one; a ``tau_s`` for each of several sensors); per experiment ``y0_V``, ``beta_V`` and the
     times of its record's switches (``t0_s`` and, where a step down was recorded, ``tf_s``); then
     the noise parameters; then ``extra`` (parameters that effects bring along).  Several sensors
-    of one record are experiments of their own here and share its switches.
+    of one record are experiments of their own here and share its switches.  What is tied to
+    another parameter has no place of its own; sensors that all have one lag share ``tau_s``.
 
     >>> Layout(("a",), (False,)).names
     ['tau_s', 'tau_v_s', 'V_mL', 'y0_V[a]', 'beta_V[a]', 't0_s[a]', 'phi', 'sigma0_V', 'sigma1_V']
@@ -77,6 +79,8 @@ class Layout:
     """name of each experiment's record; where empty, its own"""
     sensors: tuple[str, ...] = ()
     """each experiment's sensor; where empty, there is one"""
+    ties: tuple[Tie, ...] = ()
+    """lags and volumes that are another one, or a multiple of it"""
 
     def __post_init__(self) -> None:
         n = len(self.experiments)
@@ -94,7 +98,7 @@ class Layout:
     ) -> Layout:
         """The layout of a campaign's parameters.
 
-        Raises CampaignError where stages are not known or a flow that they need is missing.
+        Raises CampaignError where stages are not known, a flow that they need is missing.
         """
         rig = PUBLISHED if campaign.stages == STAGES else Rig.parse(campaign.stages)
         if rig.needs_flow:
@@ -115,6 +119,7 @@ class Layout:
             tuple(Switching.of(e) for e in campaign),
             tuple(e.record_name for e in campaign),
             tuple(e.sensor for e in campaign),
+            campaign.ties,
         )
 
     @cached_property
@@ -122,13 +127,35 @@ class Layout:
         """The sensors, each once; one empty name where there is one."""
         return tuple(dict.fromkeys(self.sensors))
 
+    @property
+    def sensors_are_named(self) -> bool:
+        """Whether a record has several sensors, so that they have names."""
+        return self.sensor_names != ("",)
+
     @cached_property
-    def shared_names(self) -> tuple[str, ...]:
-        """Names of the parameters that all experiments, or all of one sensor, share."""
-        if self.one_sensor:
+    def value_names(self) -> tuple[str, ...]:
+        """Names of the lags and volumes of all stages, a sensor's own for each sensor; those that
+        are tied as well."""
+        if not self.sensors_are_named:
             return self.rig.names
         own = [f"{self.rig.names[0]}[{sensor}]" for sensor in self.sensor_names]
         return (*own, *self.rig.names[1:])
+
+    @cached_property
+    def sources(self) -> dict[str, tuple[str, float]]:
+        """By the name of every lag and volume: the parameter that gives it, and the factor."""
+        ties = {tie.name: (tie.to, tie.factor) for tie in self.ties}
+        return {name: ties.get(name, (name, 1.0)) for name in self.value_names}
+
+    @cached_property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the parameters that all experiments, or all of one sensor, share."""
+        return tuple(dict.fromkeys(source for source, _ in self.sources.values()))
+
+    @cached_property
+    def n_own(self) -> int:
+        """How many of the shared parameters are lags of one sensor and not of all."""
+        return sum(name.startswith(f"{self.rig.names[0]}[") for name in self.shared_names)
 
     @cached_property
     def n_shared(self) -> int:
@@ -136,12 +163,43 @@ class Layout:
         return len(self.shared_names)
 
     @cached_property
-    def shared(self) -> NDArray[np.int64]:
-        """(n_experiments, n_rig) positions of the rig's parameters, in its order."""
-        n = len(self.sensor_names)
-        rest = np.arange(n, self.n_shared)
-        return np.array(
-            [[self.sensor_names.index(sensor), *rest] for sensor in self.sensors], dtype=np.int64
+    def stage_sources(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """By experiment, in the order of the rig's names: the position in theta of what gives the
+        stage's value, and the factor."""
+        own = dict(zip(self.sensor_names, self.value_names, strict=False))
+        places = {
+            name: (self.shared_names.index(source), factor)
+            for name, (source, factor) in self.sources.items()
+        }
+        rest = [places[name] for name in self.rig.names[1:]]
+        return tuple((places[own[sensor]], *rest) for sensor in self.sensors)
+
+    @cached_property
+    def shared(self) -> tuple[NDArray[np.int64], ...]:
+        """By experiment, (n,) positions of what gives the rig's values, each once; the sensor's
+        first."""
+        return tuple(
+            np.array(list(dict.fromkeys(place for place, _ in stages)), dtype=np.int64)
+            for stages in self.stage_sources
+        )
+
+    @cached_property
+    def rigs(self) -> tuple[Rig, ...]:
+        """By experiment, the rig as a function of theta at :attr:`shared`."""
+        if not self.ties:
+            return (self.rig,) * len(self.experiments)
+        return tuple(
+            replace(
+                self.rig, ties=tuple((own.tolist().index(place), factor) for place, factor in each)
+            )
+            for own, each in zip(self.shared, self.stage_sources, strict=True)
+        )
+
+    def alone(self, name: str) -> bool:
+        """Whether a shared parameter is the value of one stage in every experiment."""
+        place = self.shared_names.index(name)
+        return all(
+            [factor for i, factor in stages if i == place] == [1.0] for stages in self.stage_sources
         )
 
     @property
@@ -150,7 +208,8 @@ class Layout:
         return (
             self.rig.names == PUBLISHED.names
             and self.rig.kinds == PUBLISHED.kinds
-            and self.one_sensor
+            and not self.sensors_are_named
+            and not self.ties
             and all(each.is_pulse for each in self.switching)
         )
 
@@ -159,16 +218,17 @@ class Layout:
 
         ``flow``: total flow, mL/s; nan where it is not known.
         """
-        return self.rig.taus(theta[self.shared[k]], flow)
+        return self.rigs[k].taus(theta[self.shared[k]], flow)
 
     def slowest(self, theta: FloatArray, k: int, flow: float) -> float:
         """s, the longest of :meth:`taus`; a lag may be zero here."""
-        return float(self.rig.lags(theta[self.shared[k]], flow).max())
+        return float(self.rigs[k].lags(theta[self.shared[k]], flow).max())
 
     @property
     def one_sensor(self) -> bool:
-        """Whether there is one sensor: its lag is then theta's first value."""
-        return self.sensor_names == ("",)
+        """Whether there is one sensor, or several that all have one lag: that is then theta's first
+        value."""
+        return self.shared_names[0] == self.rig.names[0]
 
     def place_of(self, experiment: str) -> int:
         """Number of an experiment."""
@@ -197,7 +257,7 @@ class Layout:
         """Names of the noise parameters, in order; a new list."""
         if self.noise_per_experiment:
             return [f"{kind}[{name}]" for name in self.experiments for kind in NOISE]
-        if self.one_sensor:
+        if not self.sensors_are_named:
             return list(NOISE)
         return [f"{kind}[{sensor}]" for sensor in self.sensor_names for kind in NOISE]
 
@@ -322,7 +382,23 @@ class Layout:
         for name in found:
             if name not in BESIDE:
                 check_name(self, name, "theta")
+        for name, value in self.tied_values(vector).items():
+            if name in found and not isclose(float(found[name]), value, rel_tol=1e-9):
+                raise CampaignError(
+                    f"theta: {name} is {found[name]:.10g}, but it is tied, and its tie makes it "
+                    f"{value:.10g}; expected the same: correct it or leave it out"
+                )
         return vector
+
+    def tied_values(self, theta: FloatArray) -> dict[str, float]:
+        """By flat name, the lags and volumes that have no place of their own in ``theta``
+        (n_theta,)."""
+        common = self.value_names[: len(self.sensor_names)] if self.one_sensor else ()
+        return {
+            name: float(theta[self.shared_names.index(source)]) * factor
+            for name, (source, factor) in self.sources.items()
+            if source != name and name not in common
+        }
 
     def nested(self, theta: Theta, noise: bool = True) -> dict[str, Any]:
         """The mapping of ``fit.json`` for a flat vector."""
@@ -330,6 +406,7 @@ class Layout:
         result: dict[str, Any] = {
             name: float(vector[i]) for i, name in enumerate(self.shared_names)
         }
+        result |= self.tied_values(vector)
         whose = (*self.experiments, *self.records)
         result["experiments"] = {name: {} for name in whose}
         for name in self.names[self.n_shared :]:
@@ -352,7 +429,7 @@ def check_name(layout: Layout, name: str, where: str) -> None:
     has this flat name; noise parameters with or without an experiment."""
     kind, bracket, rest = name.partition("[")
     own = {extra.split("[")[0] for extra in layout.extra if "[" in extra}
-    if name in (*layout.shared_names, *layout.extra) or kind in NOISE:
+    if name in (*layout.shared_names, *layout.value_names, *layout.extra) or kind in NOISE:
         return
     if kind in (*LOCAL, *layout.switch_kinds, *own) and rest.endswith("]"):
         return

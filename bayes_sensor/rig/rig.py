@@ -53,6 +53,9 @@ class Rig:
     sensor_is: str = "unknown"
     """which of the lags that do not depend on flow is the sensor's: ``faster`` (the shortest),
     ``slower`` (the longest) or ``unknown``"""
+    ties: tuple[tuple[int, float], ...] = ()
+    """where parameters are tied: of the stages in the order of :attr:`names`, the place of each
+    one's value among the values given, and a factor"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", tuple(self.stages))
@@ -111,6 +114,11 @@ class Rig:
     def _places(self) -> tuple[int, ...]:
         """Place of each stage's parameter among the parameters."""
         return tuple(self._order.index(i) for i in range(len(self.stages)))
+
+    @cached_property
+    def _sources(self) -> tuple[tuple[int, float], ...]:
+        """Of each stage, the place of its value among the values given, and a factor."""
+        return tuple(self.ties[i] if self.ties else (i, 1.0) for i in self._places)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -176,8 +184,8 @@ class Rig:
     def _passages(self, shared: FloatArray, flow: float | None) -> list[Passage]:
         at = self._flow(flow)
         return [
-            stage.kind.passage(shared[i], at)
-            for stage, i in zip(self.stages, self._places, strict=True)
+            stage.kind.passage(shared[i] * factor, at)
+            for stage, (i, factor) in zip(self.stages, self._sources, strict=True)
         ]
 
     def _flow(self, flow: float | None) -> float:
@@ -203,7 +211,8 @@ class Rig:
         Parameters
         ----------
         shared
-            (n_parameters, ..) in the order of :attr:`names`; draws behind.
+            (n_parameters, ..) in the order of :attr:`names`, or as :attr:`ties` have them; draws
+            behind.
         flow
             total flow, mL/s; None where no stage depends on it.
 
@@ -264,7 +273,7 @@ class Rig:
     ) -> Sensitivities:
         """Derivatives of :meth:`response` by every shared parameter and by a delay."""
         by_delay = -self.passed(t, shared, flow, programme.derivative, interval)
-        found = np.zeros((len(t), len(self.stages)))
+        found = np.zeros((len(t), len(shared)))
         self.add_slopes(found, t, shared, flow, programme.derivative, by_delay, interval)
         return Sensitivities(found, by_delay)
 
@@ -284,13 +293,13 @@ class Rig:
             derivative = derivative.later(self.delay(shared, flow))
         by_lag = lag_sensitivities(t, self.taus(shared, flow), derivative, interval)
         place = 0
-        for stage, i in zip(self.stages, self._places, strict=True):
-            slope = stage.kind.slope(shared[i], self._flow(flow))
+        for stage, (i, factor) in zip(self.stages, self._sources, strict=True):
+            slope = stage.kind.slope(shared[i] * factor, self._flow(flow))
             for lag in slope.lags:
-                found[:, i] += lag * by_lag[:, place]
+                found[:, i] += factor * lag * by_lag[:, place]
                 place += 1
             if by_delay is not None:
-                found[:, i] += slope.delay * by_delay
+                found[:, i] += factor * slope.delay * by_delay
 
     def switch_sensitivities(
         self,

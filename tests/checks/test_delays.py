@@ -153,6 +153,29 @@ def test_weights_follow_the_posterior():
     assert line.weighted["slope_L"] != pytest.approx(line.slope, rel=1e-6)
 
 
+def test_sensors_of_one_record_share_its_switches():
+    campaign, fit = case(noise=0.03, seed=5)
+    alone = regress_delays(campaign, fit).start
+    pairs = [
+        replace(e, name=f"{e.name},{sensor}", record=e.name, sensor=sensor)
+        for e in campaign
+        for sensor in "AB"
+    ]
+    both = replace(campaign, experiments=tuple(pairs))
+    layout, own = Layout.of(both), Layout.of(campaign).nested(fit.theta_hat)["experiments"]
+    theta = np.ones(len(layout))
+    for k, e in enumerate(both):
+        theta[layout.switches(k)] = own[e.record]["t0_s"], own[e.record]["tf_s"]
+
+    class Posterior:
+        def sd(self, name):
+            assert name in layout.names
+            return 0.01
+
+    line = regress_delays(both, Known(theta), Posterior()).start
+    assert line.n == 7 and line.slope == pytest.approx(alone.slope, rel=1e-9)
+
+
 @pytest.mark.arviz
 def test_weights_from_inference_data():
     import xarray as xr

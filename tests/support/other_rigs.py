@@ -10,6 +10,7 @@ import numpy as np
 from bayes_sensor.campaign import Campaign, Commands, Experiment, FloatArray
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.rig.ties import tie_parameters
 
 LENGTH, INTERVAL = 120.0, 0.2
 T = np.arange(0.0, LENGTH, INTERVAL)
@@ -21,6 +22,7 @@ class Case:
 
     design: Campaign
     shared: dict[str, float]
+    """with those that are tied, whose values are given here apart from any tie"""
     phi: float = 0.5
     sigma0: float = 0.01
     sigma1: float = 0.01
@@ -109,6 +111,37 @@ def _two_sensors() -> Case:
     return Case(rig, {"tau_s[A]": 2.0, "tau_s[B]": 9.0, "tau_v_s": 0.7})
 
 
+def _tied_sensors() -> Case:
+    pair = tuple(experiment(f"1,{s}", record="1", sensor=s) for s in "AB")
+    rig = Campaign("two sensors of one make", pair, sensor_is="slower", stages=("valve", "sensor"))
+    rig = tie_parameters(rig, {"tau[B]": "tau[A]"}, "tie")
+    return Case(rig, {"tau_s[A]": 5.0, "tau_s[B]": 5.0, "tau_s": 5.0, "tau_v_s": 0.7})
+
+
+def _scaled_sensors() -> Case:
+    three = tuple(experiment(f"1,{s}", 80.0, record="1", sensor=s) for s in "ABC")
+    rig = Campaign("three sensors", three, stages=("cell", "filter", "sensor"))
+    rig = tie_parameters(rig, {"tau[B]": "2.5 * tau[A]", "tau_filter": "tau[C]"}, "tie")
+    return Case(
+        rig,
+        {"tau_s[A]": 3.0, "tau_s[B]": 7.5, "tau_s[C]": 1.2, "tau_filter_s": 1.2, "V_cell_mL": 60.0},
+    )
+
+
+def _equal_stages() -> Case:
+    both = experiment("1", 50.0), experiment("2", 100.0), experiment("3", 200.0)
+    rig = Campaign(
+        "two filters and two cells alike", both, sensor_is="slower",
+        stages=("filter", "cell", "line", "probe: lag", "sensor"),
+    )  # fmt: skip
+    rig = tie_parameters(rig, {"tau_probe": "tau_filter", "V_line": "V_cell"}, "tie")
+    return Case(
+        rig,
+        {"tau_s": 6.0, "tau_filter_s": 0.9, "tau_probe_s": 0.9, "V_cell_mL": 80.0,
+         "V_line_mL": 80.0},
+    )  # fmt: skip
+
+
 def _recorded() -> Case:
     at = np.arange(0.0, LENGTH, 0.5)
     levels = np.interp(at, [0.0, 20.0, 24.0, 60.0, 70.0, LENGTH], [0.0, 0.0, 1.0, 1.0, 0.2, 0.2])
@@ -125,4 +158,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "pulse train": _train,
     "two sensors": _two_sensors,
     "recorded input": _recorded,
+    "sensors of one lag": _tied_sensors,
+    "sensors of lags in proportion": _scaled_sensors,
+    "equal stages": _equal_stages,
 }

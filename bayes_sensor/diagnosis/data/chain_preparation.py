@@ -56,8 +56,8 @@ class FittedChain:
         """Stages and inputs."""
         layout = self.layout
         kernels = tuple(
-            ExperimentKernel(layout.rig, switching, e)
-            for e, switching in zip(self.campaign, layout.switching, strict=True)
+            ExperimentKernel(rig, switching, e)
+            for e, rig, switching in zip(self.campaign, layout.rigs, layout.switching, strict=True)
         )
         return ChainOfCampaign(layout.shared_names, tuple(layout.shared), kernels, self.height)
 
@@ -82,7 +82,7 @@ class FittedChain:
     def taus(self, k: int) -> FloatArray:
         """(n_lags,) s of experiment ``k``."""
         e = self.campaign.experiments[k]
-        return self.layout.rig.lags(self.theta[self.layout.shared[k]], e.total_flow)
+        return self.layout.rigs[k].lags(self.theta[self.layout.shared[k]], e.total_flow)
 
     @cached_property
     def time_scale(self) -> float:
@@ -137,6 +137,7 @@ class FittedChain:
     def priors(self) -> tuple[FloatArray, FloatArray]:
         """(n_shared,) means and sds of the logarithms of the shared parameters."""
         names, longest = self.layout.shared_names, self.time_scale
+        beforehand = Problem(self.campaign).named_laws
         centre, sd = np.empty(len(names)), np.empty(len(names))
         lags = [float(v) for n, v in zip(names, self.theta, strict=False) if n.startswith("tau")]
         for i, name in enumerate(names):
@@ -148,9 +149,9 @@ class FittedChain:
                 flow = float(np.median([e.total_flow for e in self.campaign]))
                 centre[i] = log(max(value, LEAST * longest * flow))
                 sd[i] = VOLUME_SD if value > LEAST * longest * flow else LAG_SD
-            known = self.campaign.side_information.get(name)
-            if known is not None and known.mean > 0.0:
-                centre[i], sd[i] = log(known.mean), max(known.sd / known.mean, 1e-4)
+            known = beforehand.get(name)
+            if known is not None and known.a > 0.0:
+                centre[i], sd[i] = log(known.a), max(known.b / known.a, 1e-4)
         return centre, sd
 
 

@@ -316,7 +316,8 @@ def kernel_of(layout: Layout, e: Experiment) -> ExperimentKernel | None:
     """The kernel of an experiment; None for pulses on the published rig, which have one alone."""
     if layout.is_published:
         return None
-    return ExperimentKernel(layout.rig, layout.switching[layout.place_of(e.name)], e)
+    k = layout.place_of(e.name)
+    return ExperimentKernel(layout.rigs[k], layout.switching[k], e)
 
 
 def _of_pulse(

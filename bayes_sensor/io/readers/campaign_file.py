@@ -58,6 +58,7 @@ _EXAMPLES = {
     "rig": '[rig] with sensor_is = "faster"',
     "stages": 'stages = ["valve", "manifold", "sensor"]',
     "sensor_is": 'sensor_is = "faster"',
+    "tie": 'tie = {"tau[B]" = "tau[A]"}',
     "conditions": '[conditions] with temperature = "21 degC" and pressure = "1.0 bar"',
 }
 
@@ -297,12 +298,14 @@ def _order(value: object, info: ValidationInfo) -> str:
 
 
 class RigTable(BaseModel):
-    """``[rig]``: the stages that the gas passes, and which of the lags is the sensor's."""
+    """``[rig]``: the stages that the gas passes, which of the lags is the sensor's, and what is
+    tied."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     stages: Annotated[tuple[str, ...] | None, BeforeValidator(_stages)] = None
     sensor_is: Annotated[str, BeforeValidator(_order)] = "unknown"
+    tie: dict[str, str] = Field(default_factory=dict)
 
 
 def _coating(value: object) -> str:

@@ -9,6 +9,7 @@ from bayes_sensor.campaign import STAGES, Campaign, CampaignError, Experiment, S
 from bayes_sensor.io.readers.campaign_file import ExperimentTable, RigTable, read_side_information
 from bayes_sensor.io.readers.quantities import conversion_factor
 from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.ties import tie_parameters
 
 _LONGEST_MESSAGE = 2000
 
@@ -91,7 +92,7 @@ def join(
         stages=stages,
     )
     Layout.of(found)  # raises where a stage needs a flow that is not known
-    return found
+    return tie_parameters(found, rig.tie, f"{label}: [rig] tie") if rig.tie else found
 
 
 def one_line(text: str) -> str:

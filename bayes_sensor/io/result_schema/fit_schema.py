@@ -61,6 +61,7 @@ class CampaignRecord(TypedDict):
     same_flow: StrictBool
     stages: Annotated[list[Name], Field(min_length=1)]
     sensor_is: NotRequired[Literal["faster", "slower", "unknown"]]
+    ties: NotRequired[dict[Text, Text]]
     coating: NotRequired[Text]
     n_samples: Int
     side_information: dict[Name, Known]

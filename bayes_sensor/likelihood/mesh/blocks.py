@@ -242,11 +242,14 @@ def _of_chain(problem: Problem) -> dict[str, np.ndarray]:
     one lag each."""
     layout, campaign = problem.layout, problem.campaign
     divided = [kind == "volume" for kind in layout.rig.kinds]
-    flows = [[e.total_flow if each else 1.0 for each in divided] for e in campaign]
+    flows = [
+        [(e.total_flow if by else 1.0) / factor for by, (_, factor) in zip(divided, each)]
+        for e, each in zip(campaign, layout.stage_sources, strict=True)
+    ]
     first = np.cumsum([0, *(len(each.moves) for each in layout.switching)])
     place = [layout.switches(k)[each.places] for k, each in enumerate(layout.switching)]
     return {
-        "lag_place": layout.shared,
+        "lag_place": np.array([[i for i, _ in each] for each in layout.stage_sources]),
         "lag_flow": np.array(flows),
         "switch_first": first.astype(np.int64),
         "switch_place": np.concatenate(place).astype(np.int64),
@@ -297,7 +300,7 @@ def _widths(
     ends = np.stack([low, high])[:, layout.shared[k]]
     of_sensor = np.geomspace(max(ends[0, 0], 1e-3 * ends[1, 0]), ends[1, 0], 5)
     candidates = np.array(
-        [layout.rig.taus(np.array(each), e.total_flow)
+        [layout.rigs[k].taus(np.array(each), e.total_flow)
          for each in product(of_sensor, *ends.T[1:])]
     )  # fmt: skip
     slowest = layout.slowest(vector, k, e.total_flow)

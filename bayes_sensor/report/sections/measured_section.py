@@ -45,6 +45,9 @@ def measured(saved: Saved) -> Section | None:
         )
     if "sensor_is" in campaign:
         paragraphs.append(_of_rig(campaign))
+    if ties := campaign.get("ties"):
+        said = list_words([f"{name} = {to}" for name, to in ties.items()])
+        paragraphs.append(f"Tied, so not estimated apart: {said}.")
     for name, info in campaign.get("side_information", {}).items():
         symbol, unit, factor = figures.parameter_words(name, saved.unit)
         paragraphs.append(
