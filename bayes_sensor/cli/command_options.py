@@ -227,6 +227,9 @@ class Restoring:
         str | None,
         typer.Option(help="Total flow of the record: the volume's lag then counts, too."),
     ] = None
+    sensor: Annotated[
+        str | None, typer.Option(help="Whose record it is, with a campaign of several sensors.")
+    ] = None
     non_negative: Annotated[
         bool, typer.Option("--non-negative", help="The input is known not to be negative.")
     ] = False

@@ -59,7 +59,7 @@ def restore_records(wanted: Restoring) -> int:
         with results.locked(), results.writing() as stage:
             _put(stage, found, record)
             put_run(
-                stage, "restore", clock, seed=wanted.seed, settings=_settings(wanted, source),
+                stage, "restore", clock, seed=wanted.seed, settings=_settings(wanted, source, file),
                 campaign="" if source is None else str(source),
                 files={file.name: record.sha256, **used}, exit_code=code, warnings=found.warnings,
             )  # fmt: skip
@@ -120,7 +120,7 @@ def _lags(
     if source.is_dir():
         read_overrides(wanted.config)
         path = source / "posterior.nc"
-        return saved_lags(source, wanted.at, flow), 0, {path.name: sha256(path)}
+        return saved_lags(source, wanted.at, flow, wanted.sensor), 0, {path.name: sha256(path)}
     from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.posterior import sample_posterior
 
@@ -142,7 +142,7 @@ def _lags(
         settings=overrides.sampler_settings(), jobs=wanted.jobs, progress=_part(tell, 0.4, 1.0),
     )  # fmt: skip
     code = 0 if fit.converged and posterior.converged else 3
-    lags = posterior_lags(posterior, wanted.at, flow)
+    lags = posterior_lags(posterior, wanted.at, flow, wanted.sensor)
     return lags, code, {source.name: sha256(source)}
 
 
@@ -156,12 +156,13 @@ def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], No
     return lambda fraction, text: tell(begin + (end - begin) * fraction, text)
 
 
-def _settings(wanted: Restoring, source: Path | None) -> dict[str, Any]:
+def _settings(wanted: Restoring, source: Path | None, record: Path) -> dict[str, Any]:
     """What changes a number and is told nowhere else."""
     return {
-        "lags": wanted.lag or [], "signal": wanted.signal, "time": wanted.time,
+        "record": record.name, "lags": wanted.lag or [], "signal": wanted.signal,
+        "time": wanted.time,
         "interval": wanted.interval, "signal_unit": wanted.signal_unit, "at": wanted.at,
-        "flow": wanted.flow, "nonnegative": wanted.non_negative,
+        "flow": wanted.flow, "sensor": wanted.sensor, "nonnegative": wanted.non_negative,
         "source": None if source is None else str(source),
     }  # fmt: skip
 

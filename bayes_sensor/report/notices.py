@@ -47,6 +47,8 @@ def alerts(saved: Saved) -> list[tuple[str, str]]:
 
 def _decisive(saved: Saved) -> Iterable[str]:
     """What decides whether the headline stands."""
+    if saved.restored is not None:
+        yield from saved.restored["warnings"]
     fit, posterior, residuals, predictive = (
         saved.fit, saved.posterior, saved.residuals, saved.predictive,
     )  # fmt: skip

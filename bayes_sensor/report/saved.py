@@ -15,6 +15,7 @@ from bayes_sensor.fit.traces import Trace, load_traces
 from bayes_sensor.io.result_schema import check_result, check_together
 from bayes_sensor.io.results import Results
 from bayes_sensor.io.untrusted import LARGEST_JSON, read_bytes, refused
+from bayes_sensor.report.drawing import inline_svg
 from bayes_sensor.report.headline import Headline, headline
 
 
@@ -38,6 +39,9 @@ class Saved:
     """of a blind check"""
     cases: list[dict[str, str]] | None = None
     """its cases as they stand in cases.csv"""
+    restored: dict[str, Any] | None = None
+    restored_figure: str = ""
+    """as SVG"""
     traces: list[Trace] | None = None
     samples: list[Samples] | None = None
     draws: Path | None = None
@@ -109,11 +113,12 @@ def check_folder(folder: str | Path) -> Results:
             f"{folder}: there is no such folder; expected a results folder: "
             "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
         )
-    known = results.has("campaign.json") or results.has("score.json")
+    known = any(map(results.has, ("campaign.json", "score.json", "restored.json")))
     if not (known and results.has("run.json")):
         raise CampaignError(
-            f"{folder}: expected a results folder with run.json and campaign.json (or score.json, "
-            "of a blind check); run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
+            f"{folder}: expected a results folder with run.json and campaign.json (or score.json "
+            "of a blind check, restored.json of restore); run bayes-sensor analyze CAMPAIGN.toml "
+            "--out FOLDER first"
         )
     return results
 
@@ -129,15 +134,21 @@ def read_results(folder: str | Path, compare_published: bool = False) -> Saved:
     results = check_folder(folder)
     campaign = results.json("campaign.json")
     parts = ("fit", "residuals", "posterior", "posterior_without_effects", "predictive", "bounds",
-             "delays", "gap", "coating")  # fmt: skip
+             "delays", "gap", "coating", "restored")  # fmt: skip
     found = {name: results.json(f"{name}.json") for name in parts}
     traces = load_traces(results.path("traces.npz")) if results.has("traces.npz") else None
     samples = load_samples(results.path("samples.npz")) if results.has("samples.npz") else None
     if campaign is not None:
         check_together(results.folder, campaign, found, traces or [], samples or [])
+    run = results.json("run.json")
+    title = "Blind check of the diagnosis"
+    if found["restored"] is not None:
+        settings = (run["commands"].get("restore") or {}).get("settings") or {}
+        title = f"Restored input of {settings.get('record', 'a record')}"
     return Saved(
-        campaign=campaign or {"title": "Blind check of the diagnosis", "experiments": []},
-        run=results.json("run.json"),
+        campaign=campaign or {"title": title, "experiments": []},
+        run=run,
+        restored_figure=_figure(results.path("restored.svg")) if found["restored"] else "",
         traces=traces,
         samples=samples,
         score=results.json("score.json"),
@@ -146,6 +157,19 @@ def read_results(folder: str | Path, compare_published: bool = False) -> Saved:
         compare_published=compare_published,
         **found,
     )
+
+
+def _figure(path: Path) -> str:
+    """A saved drawing, which is none of the report's own; empty where there is none."""
+    if not path.is_file():
+        return ""
+    expected = "a drawing without scripts, links and images"
+    try:
+        drawing = read_bytes(path, LARGEST_JSON, expected).decode("utf-8")
+        inline_svg(drawing, path.stem, "")
+    except ValueError as error:
+        raise refused(path, expected, error) from None
+    return drawing
 
 
 def _cases(path: Path) -> list[dict[str, str]]:

@@ -106,7 +106,9 @@ def _spread(text: Any) -> tuple[float, float]:
     return read_spread(text, LAG, "--lag")
 
 
-def posterior_lags(posterior: Any, at: str = "rig", flow: float | None = None) -> LagDraws:
+def posterior_lags(
+    posterior: Any, at: str = "rig", flow: float | None = None, sensor: str | None = None
+) -> LagDraws:
     """Draws of the lags of a posterior's rig.
 
     Parameters
@@ -118,39 +120,67 @@ def posterior_lags(posterior: Any, at: str = "rig", flow: float | None = None) -
         ``"sensor"``: what reached the sensor, through the sensor's own lag.
     flow
         mL/s, total flow of the record; then the volume's lag V/flow counts as well.
+    sensor
+        whose record it is, where the posterior has several.
     """
     posterior = getattr(posterior, "posterior", posterior)
     _check_place(at)
-    layout = posterior.problem.layout
-    if layout.sensors_are_named:
-        raise CampaignError(
-            f"the posterior has {len(layout.sensor_names)} sensors, and a record has the lag of "
-            "one; expected a campaign with one sensor: write signal in place of signals"
-        )
+    problem, layout = posterior.problem, posterior.problem.layout
+    names = layout.sensor_names if layout.sensors_are_named else ()
+    own = layout.value_names[0]
+    if names or sensor is not None:
+        own = layout.value_names[names.index(_sensor(names, sensor, "the posterior"))]
     if at == "sensor":
-        sensor = np.asarray(posterior.of("tau_s"))[:, None]
-        undecided = posterior.naming.order == "undecided"
+        source, factor = layout.sources[own]
+        undecided = source == "tau_s" and posterior.naming.order == "undecided"
         remark = "which lag is the sensor's is undecided: the band holds all of them"
-        return LagDraws(sensor, "the sensor's lag", (remark,) if undecided else ())
-    lags = np.asarray(posterior.lags)
-    common = posterior.problem.flow
-    if flow is not None and common is None:
-        volumes = [name for name in layout.shared_names if name.startswith("V_")]
-        lags = np.column_stack([lags, *(posterior.of(name) / flow for name in volumes)])
-    elif flow is not None and common is not None and abs(flow / common - 1.0) > SAME_FLOW:
+        lag = factor * np.asarray(posterior.of(source))[:, None]
+        return LagDraws(lag, _of_sensor(sensor), (remark,) if undecided else ())
+    common = problem.flow
+    if flow is not None and common is not None and abs(flow / common - 1.0) > SAME_FLOW:
         raise CampaignError(
             f"flow: all experiments had a total flow of {common:.4g} mL/s, but the record has "
             f"{flow:.4g} mL/s; which lag changes with the flow is not known: add experiments at "
             "another flow"
         )
-    remarks = (NO_ORDER,)
-    return LagDraws(lags, "the posterior of the rig's lags", remarks)
+    lags = [*np.asarray(posterior.lags).T]
+    for stage in layout.rig.stages:
+        source, factor = layout.sources[own if stage.name == "sensor" else stage.parameter]
+        if source in problem.commuting.names or (stage.kind.depends_on_flow and flow is None):
+            continue
+        value = factor * np.asarray(posterior.of(source))
+        lags += stage.kind.passage(value, np.nan if flow is None else flow).lags
+    return LagDraws(np.column_stack(lags), "the posterior of the rig's lags", (NO_ORDER,))
+
+
+def _sensor(names: Sequence[str], sensor: str | None, where: str) -> str:
+    """The sensor whose record it is; CampaignError where that is not said, or is none of them."""
+    if sensor is None and len(names) == 1:
+        return names[0]
+    if sensor is None:
+        raise CampaignError(
+            f"{where} has {len(names)} sensors ({', '.join(names)}), and a record is that of one; "
+            f"expected to be told which: give --sensor {names[0]}"
+        )
+    if sensor not in names:
+        known = f"those are {', '.join(names)}" if names else "it has one sensor, without a name"
+        raise CampaignError(
+            f"sensor: expected a sensor of {where}, but got '{sensor[:40]}'; {known}: correct it "
+            "or leave it out"
+        )
+    return sensor
+
+
+def _of_sensor(sensor: str | None) -> str:
+    return "the sensor's lag" if sensor is None else f"the lag of sensor {sensor}"
 
 
 NO_ORDER = "lags commute: which of them is the sensor's makes no difference to what is restored"
 
 
-def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagDraws:
+def saved_lags(
+    folder: Path, at: str = "rig", flow: float | None = None, sensor: str | None = None
+) -> LagDraws:
     """Draws of the lags from ``posterior.nc`` of a results folder; as :func:`posterior_lags`."""
     _check_place(at)
     path = folder / "posterior.nc"
@@ -159,23 +189,31 @@ def saved_lags(folder: Path, at: str = "rig", flow: float | None = None) -> LagD
             f"{folder}: expected a results folder with posterior.nc, but there is none; run "
             "bayes-sensor posterior with --out there first"
         )
+    if read_result(folder / "campaign.json").get("ties"):
+        raise CampaignError(
+            f"{folder}: parameters are tied, which posterior.nc does not say; expected the "
+            "campaign's TOML file instead: give that, or the analysis in Python"
+        )
     names, chains = load_chains(path)
     columns = dict(zip(names, chains.reshape(-1, chains.shape[-1]).T, strict=True))
+    sensors = [name[len("tau_s[") : -1] for name in columns if name.startswith("tau_s[")]
+    own = "tau_s"
+    if sensors or sensor is not None:
+        own = f"tau_s[{_sensor(sensors, sensor, str(path))}]"
     if at == "sensor":
-        if "tau_s" not in columns:
+        if own not in columns:
             raise CampaignError(
                 f"{path}: which lag is the sensor's is undecided; say sensor_is in the campaign, "
                 "or restore what entered the rig with --at rig"
             )
-        return LagDraws(columns["tau_s"][:, None], f"the sensor's lag in {path}")
-    if any(name.startswith("tau_s[") for name in columns):
-        raise CampaignError(
-            f"{path}: there are several sensors, and a record has the lag of one; expected a "
-            "campaign with one sensor: write signal in place of signals"
-        )
-    kept = [name for name in columns if name.startswith(("tau", "lag_"))]
+        return LagDraws(columns[own][:, None], f"{_of_sensor(sensor)} in {path}")
+    kept = [
+        name
+        for name in columns
+        if name.startswith(("tau", "lag_")) and (name == own or not name.startswith("tau_s["))
+    ]
     lags = np.stack([columns[name] for name in kept], axis=1)
-    n_lags = len(read_result(folder / "posterior.json")["lags_s"])
+    n_lags = len(read_result(folder / "posterior.json")["lags_s"]) + bool(sensors)
     if not kept:
         raise refused(path, "draws of lags", "there are none")
     if len(kept) < n_lags:

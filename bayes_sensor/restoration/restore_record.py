@@ -39,6 +39,7 @@ def restore(
     signal_unit: str | None = None,
     at: str = "rig",
     flow: str | float | None = None,
+    sensor: str | None = None,
     nonnegative: bool = False,
     seed: int = 1,
     jobs: int = 1,
@@ -67,6 +68,8 @@ def restore(
         sensor.
     flow
         with a posterior: the record's total flow; then the volume's lag counts, too.
+    sensor
+        with a posterior of several sensors: whose record it is.
     nonnegative
         the input is known not to be negative.
     jobs
@@ -91,7 +94,7 @@ def restore(
     read = record if isinstance(record, Record) else _record(
         record, signal, time, interval, signal_unit
     )  # fmt: skip
-    given = _lags(lags, at, flow, seed)
+    given = _lags(lags, at, flow, sensor, seed)
     _check(read, given)
     slowest = float(np.median(given.draws.max(axis=1)))
     samples, mean, spread = make_samples(read.t, read.y, slowest)
@@ -151,18 +154,18 @@ def _smoothed(
             yield from pool.map(smooth, models[begin : begin + jobs])
 
 
-def _lags(lags: Any, at: str, flow: str | float | None, seed: int) -> LagDraws:
+def _lags(lags: Any, at: str, flow: str | float | None, sensor: str | None, seed: int) -> LagDraws:
     if isinstance(lags, LagDraws):
         return lags
     mL_s = read_quantity(flow, FLOW, "flow") if isinstance(flow, str) else flow
     if isinstance(lags, Path) or (isinstance(lags, str) and Path(lags).is_dir()):
-        return saved_lags(Path(lags), at, mL_s)
+        return saved_lags(Path(lags), at, mL_s, sensor)
     if isinstance(lags, str) or (
         isinstance(lags, Sequence) and all(isinstance(each, str) for each in lags)
     ):
         return stated_lags(lags, seed)
     if hasattr(lags, "posterior") or hasattr(lags, "lags"):
-        return posterior_lags(lags, at, mL_s)
+        return posterior_lags(lags, at, mL_s, sensor)
     raise CampaignError(
         f"lags: expected a text such as '40 +- 2 min', a posterior or a folder of results, but got "
         f"{type(lags).__name__}; give one of them"

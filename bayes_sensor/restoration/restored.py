@@ -84,6 +84,26 @@ class Restored:
         return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
     @property
+    def bands(self) -> dict[str, Any]:
+        """The columns of :meth:`table` where the input is lowest, highest and least known, and the
+        median half widths of the bands."""
+        table = self.table()
+        moments = {
+            "lowest": int(np.argmin(self.value)),
+            "highest": int(np.argmax(self.value)),
+            "least_known": int(np.argmax(self.sd)),
+        }
+        return {
+            **{name: table.iloc[i].to_dict() for name, i in moments.items()},
+            **{
+                f"median_half_width{level}": float(
+                    np.median(table[f"hi{level}"] - table[f"lo{level}"]) / 2.0
+                )
+                for level in (68, 95)
+            },
+        }
+
+    @property
     def warnings(self) -> list[str]:
         """What to be careful about, in sentences."""
         found = list(self.doubts)
@@ -122,6 +142,7 @@ class Restored:
                         "length_s": _percentiles(np.array([m.length for m in self.models])),
                         "smooth_share": float(np.mean([m.order == 2 for m in self.models])),
                     },
+                    "bands": self.bands,
                     "innovations": {
                         "n": self.innovations.n,
                         "sd": self.innovations.sd,

@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 
 import bayes_sensor as bs
 from bayes_sensor.cli import exit_code
+from bayes_sensor.io.writers import write_campaign
+from tests.support.other_rigs import CASES
 
 COLUMNS = ["time_s", "value", "lo68", "hi68", "lo95", "hi95"]
 
@@ -79,6 +81,54 @@ def test_many_records_get_a_folder_each(record: Path, tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(a, field)
     assert len(read(out / "a" / "restored.json")["lags_s"]) == 2
     assert run("restore", other, other / "a.csv", "--lag", "40 min", "--out", out) == 2
+
+
+def test_the_report_of_a_restored_record(record: Path, tmp_path: Path, capsys: Any) -> None:
+    out = tmp_path / "out"
+    assert run("restore", record, "--lag", "40 +- 2 min", "--signal", "level", "--out", out) == 0
+    assert run("report", out) == 0 and run("report", out, "--format", "md") == 0
+    told, table = read(out / "restored.json"), pd.read_csv(out / "restored.csv")
+    text = (out / "report.md").read_text(encoding="utf-8")
+    resolution = f"{told['resolution_s']:.0f} s"
+    for words in ("Restored input of field.csv", "1. What was the input", resolution,
+                  "prediction errors (innovations) pass", "figures/restored.svg"):  # fmt: skip
+        assert words in text, words
+    moment = told["bands"]["highest"]
+    row = table.iloc[int(table["value"].argmax())]
+    assert moment == pytest.approx(row.to_dict(), rel=1e-9)
+    half = np.median(table["hi95"] - table["lo95"]) / 2.0
+    assert told["bands"]["median_half_width95"] == pytest.approx(half, rel=1e-9)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 1 and "Attention" not in page
+    told["warnings"].append("the record is odd")
+    told["innovations"]["p_value"] = 1e-5
+    (out / "restored.json").write_text(json.dumps(told), encoding="utf-8")
+    assert run("report", out) == 0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "The record is odd." in page and "do not pass their tests" in page
+    # what others put into the folder is looked at before it is shown
+    drawing = (out / "restored.svg").read_text(encoding="utf-8")
+    hostile = drawing.replace("</svg>", "<script>alert(1)</script></svg>")
+    (out / "restored.svg").write_text(hostile, encoding="utf-8")
+    capsys.readouterr()
+    assert run("report", out) == 2 and "without scripts, links" in capsys.readouterr().err
+    (out / "restored.svg").write_text(drawing, encoding="utf-8")
+    del told["bands"]
+    (out / "restored.json").write_text(json.dumps(told), encoding="utf-8")
+    assert run("report", out) == 2 and "bands" in capsys.readouterr().err
+
+
+def test_a_record_of_one_of_several_sensors(tmp_path: Path, capsys: Any) -> None:
+    data, record = CASES["two sensors"]().simulated(), tmp_path / "record.csv"
+    campaign = write_campaign(data, tmp_path / "rig")
+    for e in data:
+        pd.DataFrame({"time_s": e.t, f"{e.sensor} (V)": e.values}).to_csv(record, index=False)
+    arguments = ("restore", campaign, record, "--out", tmp_path / "out", "--quiet")
+    assert run(*arguments) == 2 and "2 sensors (A, B)" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert run(*arguments, "--sensor", "B") in (0, 3)  # the last one written
+    lags = read(tmp_path / "out" / "restored.json")["lags_s"]
+    assert [lag["q50"] for lag in lags] == pytest.approx([0.7, 9.0], rel=0.1)
 
 
 def test_restore_with_a_campaign_and_with_its_results(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def _tied_sensors() -> Case:
     pair = tuple(experiment(f"1,{s}", record="1", sensor=s) for s in "AB")
     rig = Campaign("two sensors of one make", pair, sensor_is="slower", stages=("valve", "sensor"))
     rig = tie_parameters(rig, {"tau[B]": "tau[A]"}, "tie")
-    return Case(rig, {"tau_s[A]": 5.0, "tau_s[B]": 5.0, "tau_s": 5.0, "tau_v_s": 0.7})
+    return Case(rig, {"tau_s": 5.0, "tau_v_s": 0.7})
 
 
 def _scaled_sensors() -> Case:

@@ -19,6 +19,7 @@ from bayes_sensor.io.result_schema import (
     bounds_schema,
     fit_schema,
     gap_schema,
+    restored_schema,
     run_schema,
 )
 from bayes_sensor.io.untrusted import read_json, refused
@@ -35,6 +36,7 @@ SCHEMAS: Mapping[str, Any] = {
     "delays.json": bounds_schema.Delays,
     "gap.json": gap_schema.Gap,
     "coating.json": gap_schema.Coating,
+    "restored.json": restored_schema.Restored,
     "traces.npz": fit_schema.Traces,
     "samples.npz": fit_schema.SampledRecords,
     "outcome.json": run_schema.Outcome,

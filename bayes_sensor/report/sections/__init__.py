@@ -16,6 +16,7 @@ from bayes_sensor.report.sections.hardness_section import hardness
 from bayes_sensor.report.sections.measured_section import measured
 from bayes_sensor.report.sections.next_section import measure_next
 from bayes_sensor.report.sections.noise_section import noise
+from bayes_sensor.report.sections.restored_section import restored
 from bayes_sensor.report.sections.tau_section import time_constant
 
 Maker = Callable[[Saved], Section | None]
@@ -30,6 +31,7 @@ SECTIONS: dict[str, Maker] = {
     "delays": switching,
     "coating": coating,
     "next": measure_next,
+    "restored": restored,
     "blind-check": blind_check,
     "computed": computed,
 }

@@ -1,0 +1,71 @@
+"""What ``restored.json`` holds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from bayes_sensor.io.result_schema.schema_types import (
+    Int,
+    MaybeNum,
+    NotNegative,
+    Num,
+    Positive,
+    Share,
+    Text,
+    Texts,
+    Unit,
+)
+
+Percentiles = TypedDict("Percentiles", {"q2.5": Num, "q50": Num, "q97.5": Num})
+
+
+class Noise(TypedDict):
+    phi: Percentiles
+    phi_interval_s: Positive
+    sigma: Percentiles
+    sigma_at_highest: Percentiles
+
+
+class InnovationTest(TypedDict):
+    n: Int
+    sd: NotNegative
+    correlation: Num
+    p_value: Share
+    largest: Num
+    largest_at_s: Num
+    largest_p_value: Share
+
+
+class Moment(TypedDict):
+    time_s: Num
+    value: Num
+    lo68: Num
+    hi68: Num
+    lo95: Num
+    hi95: Num
+
+
+class Bands(TypedDict):
+    lowest: Moment
+    highest: Moment
+    least_known: Moment
+    median_half_width68: NotNegative
+    median_half_width95: NotNegative
+
+
+class Restored(TypedDict):
+    signal_unit: Unit
+    resolution_s: MaybeNum
+    lag_s: Percentiles
+    lags_s: Annotated[list[Percentiles], Field(min_length=1)]
+    lag_source: Text
+    noise: Noise
+    bands: Bands
+    innovations: InnovationTest
+    n_samples: Int
+    n_draws: Int
+    remarks: Texts
+    warnings: Texts
