@@ -36,7 +36,7 @@ SCHEMAS: Mapping[str, Any] = {
     "delays.json": bounds_schema.Delays,
     "gap.json": gap_schema.Gap,
     "coating.json": gap_schema.Coating,
-    "restored.json": restored_schema.Restored,
+    "restored.json": restored_schema.RestoredRecord,
     "traces.npz": fit_schema.Traces,
     "samples.npz": fit_schema.SampledRecords,
     "outcome.json": run_schema.Outcome,

@@ -22,7 +22,7 @@ from bayes_sensor.io.result_schema.schema_types import (
 Percentiles = TypedDict("Percentiles", {"q2.5": Num, "q50": Num, "q97.5": Num})
 
 
-class Noise(TypedDict):
+class RestoredNoise(TypedDict):
     phi: Percentiles
     phi_interval_s: Positive
     sigma: Percentiles
@@ -39,7 +39,7 @@ class InnovationTest(TypedDict):
     largest_p_value: Share
 
 
-class Moment(TypedDict):
+class RestoredMoment(TypedDict):
     time_s: Num
     value: Num
     lo68: Num
@@ -48,22 +48,22 @@ class Moment(TypedDict):
     hi95: Num
 
 
-class Bands(TypedDict):
-    lowest: Moment
-    highest: Moment
-    least_known: Moment
+class RestoredBands(TypedDict):
+    lowest: RestoredMoment
+    highest: RestoredMoment
+    least_known: RestoredMoment
     median_half_width68: NotNegative
     median_half_width95: NotNegative
 
 
-class Restored(TypedDict):
+class RestoredRecord(TypedDict):
     signal_unit: Unit
     resolution_s: MaybeNum
     lag_s: Percentiles
     lags_s: Annotated[list[Percentiles], Field(min_length=1)]
     lag_source: Text
-    noise: Noise
-    bands: Bands
+    noise: RestoredNoise
+    bands: RestoredBands
     innovations: InnovationTest
     n_samples: Int
     n_draws: Int
