@@ -220,7 +220,7 @@ def test_compiled_code_waits_for_the_process_that_compiles(tmp_path: Path) -> No
 
 
 def _save_posterior(path: Path) -> None:
-    problem, theta = small_problem(n=1, interval=0.05)
+    problem, theta = small_problem(n=2, interval=0.05)
     save_draws.save_posterior(sample_posterior(problem, theta, sampler="independence"), path)
 
 

@@ -170,6 +170,22 @@ def test_the_sum_over_experiments_is_the_whole() -> None:
     assert log_likelihood(problem, theta) == pytest.approx(sum(parts), rel=1e-14)
 
 
+@pytest.mark.parametrize(("phi", "apart"), [(0.0, 0.0), (0.3, 1.0)])
+def test_a_record_in_two_pieces_is_the_record(phi: float, apart: float) -> None:
+    """Where the noise of one says nothing of the other: white, or a second apart, 100 samples."""
+    problem, theta = small_problem(phi, n=1)
+    (e,) = problem.campaign
+    cut = 0.4 * e.t[-1]
+    pieces = (e.t < cut) & e.used, (e.t >= cut + apart) & e.used
+
+    def log_l(used: np.ndarray) -> float:
+        part = replace(problem.campaign, experiments=(replace(e, mask=used),))
+        return log_likelihood(replace(problem, campaign=part), theta)
+
+    whole = log_l(pieces[0] | pieces[1])
+    assert sum(map(log_l, pieces)) == pytest.approx(whole, rel=1e-12)
+
+
 def test_long_products_of_variances_do_not_leave_the_range_of_doubles() -> None:
     # scaling data, mean and noise by c moves log L by -n log c exactly
     problem, theta = small_problem(n=1)

@@ -27,6 +27,8 @@ from bayes_sensor.campaign import CampaignError
 
 Rng = np.random.Generator
 SECONDS = 20
+ZEROS = 60_000_000
+"""in an archive that unpacks to far more than it holds"""
 OUTSIDE = "secret.json"
 """a file beside the folder: never read into it, never changed"""
 MINE = "my notes.txt"
@@ -296,9 +298,9 @@ def pickled(content: bytes, rng: Rng) -> bytes:
 
 
 def bomb(content: bytes, rng: Rng) -> bytes:
-    """60 million zeros."""
+    """Zeros that take hardly any room."""
     found = members(content)
-    found[_some(found, rng)] = npy(np.zeros(60_000_000))
+    found[_some(found, rng)] = npy(np.zeros(ZEROS))
     return packed(found)
 
 

@@ -267,8 +267,7 @@ def is_compact_number(cell: str) -> bool:
     >>> is_compact_number("20240305090000"), is_compact_number("1700000000000")
     (True, False)
     """
-    text = cell.strip()
-    return len(text) >= 14 and _COMPACT.fullmatch(text) is not None
+    return _COMPACT.fullmatch(cell.strip()) is not None
 
 
 LATEST_EPOCH = 9.2e9
