@@ -24,7 +24,6 @@ from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.layout import Layout, Theta
-from bayes_sensor.rig.ties import refuse_ties
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +62,6 @@ def design_experiments(
     """
     problem = as_problem(campaign)
     refuse_held(problem, "design")
-    refuse_ties(problem.campaign, "design")
     vector = problem.by_name(theta)
     refuse_unplannable(problem.campaign)
     if not target_tau > 0:

@@ -22,7 +22,6 @@ from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.layout import Theta
-from bayes_sensor.rig.ties import refuse_ties
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +46,6 @@ def what_if(campaign: Campaign | Problem, theta: Theta, prior: Prior | None = No
 
     problem = as_problem(campaign)
     refuse_held(problem, "what_if")
-    refuse_ties(problem.campaign, "what_if")
     vector = problem.by_name(theta)
     settings, truth = settings_of(problem, vector), truth_of(problem, vector)
     prior = prior or problem.prior_of_tau(vector)

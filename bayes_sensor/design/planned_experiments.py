@@ -13,6 +13,7 @@ from bayes_sensor.io.readers.recording import MAX_SAMPLES
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.rig import Rig
+from bayes_sensor.rig.ties import refuse_ties
 
 BEGIN, END = 0.2, 0.6
 """when a proposed experiment's step starts and ends, as fractions of its duration"""
@@ -103,10 +104,11 @@ def settings_of(problem: Problem, vector: FloatArray) -> list[PlannedSetting]:
 def truth_of(problem: Problem, vector: FloatArray) -> Truth:
     """Shared parameters of a flat vector; the first experiment's noise where each has its own.
 
-    Raises CampaignError for several sensors, or where the noise is not given.
+    Raises CampaignError for several sensors or tied parameters, or where the noise is not given.
     """
     layout = problem.layout
     refuse_several_sensors(problem.campaign)
+    refuse_ties(problem.campaign, "planning")
     phi, sigma0, sigma1 = (float(v) for v in vector[layout.noise[0]])
     if not (np.isfinite(sigma0) and sigma0 > 0):
         raise CampaignError("theta lacks sigma0_V; a prediction needs the noise's size in volts")

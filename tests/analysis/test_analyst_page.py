@@ -47,3 +47,7 @@ def test_the_code_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert low < 0.15 < high
     assert np.ptp(posterior.of("tau_v_s")) == 0.0
     assert (tmp_path / "results" / "report.html").is_file()
+    limited = names["limited"].parameters
+    assert limited["tau_v_s"] == pytest.approx(6.0 * limited["tau_s"], rel=1e-12)
+    assert names["again"] is not None and names["told"][0]
+    assert names["simulated"].n_samples == campaign.n_samples

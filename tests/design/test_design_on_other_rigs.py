@@ -14,7 +14,8 @@ from bayes_sensor.design.tau_interval import predict_tau
 from bayes_sensor.likelihood.problem import Problem
 from tests.support.other_rigs import CASES
 
-ONE_SENSOR = [name for name in CASES if name != "two sensors"]
+TIED = [name for name in CASES if CASES[name]().design.ties]
+ONE_SENSOR = [name for name in CASES if name not in ("two sensors", *TIED)]
 
 
 @pytest.mark.parametrize("name", ONE_SENSOR)
@@ -66,4 +67,11 @@ def test_what_cannot_be_planned_is_one_message(name: str, match: str) -> None:
 def test_two_sensors_have_no_prediction() -> None:
     case = CASES["two sensors"]()
     with pytest.raises(CampaignError, match="there are 2"):
+        what_if(case.design, Problem(case.design).layout.nested(case.theta))
+
+
+@pytest.mark.parametrize("name", TIED)
+def test_what_is_tied_cannot_be_planned(name: str) -> None:
+    case = CASES[name]()
+    with pytest.raises(CampaignError, match="there are|parameters are tied"):
         what_if(case.design, Problem(case.design).layout.nested(case.theta))
