@@ -25,7 +25,7 @@ from bayes_sensor.fit.refinement import Refined, around, mesh_points, refine, wi
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import SwarmProblem, limits
 from bayes_sensor.fit.swarm import particle_swarm
-from bayes_sensor.fit.twin import AS_GOOD, Twin, apart, other_orders
+from bayes_sensor.fit.twin import AS_GOOD, Twin, apart, other_orders, sensors_exchanged
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.lags import Naming
@@ -255,6 +255,10 @@ def _search(
         start = best.theta.copy()
         start[0] = min(fraction * rise, 0.9 * high[0])
         start[layout.all_switches] += best.theta[0] - start[0]
+        other = refined_from(start)
+        if other.cost < best.cost:
+            best = other
+    for start in sensors_exchanged(problem, best.theta):
         other = refined_from(start)
         if other.cost < best.cost:
             best = other

@@ -53,6 +53,20 @@ def other_orders(problem: Problem, theta: FloatArray) -> list[tuple[int, int, Fl
     return found
 
 
+def sensors_exchanged(problem: Problem, theta: FloatArray) -> list[FloatArray]:
+    """``theta`` (n_mean,) with the sensors' lags in place of each lag that they share and the other
+    way round, where sensors are tied: that may be another minimum.  Without a tie each sensor's
+    lag finds its own way."""
+    layout, n = problem.layout, problem.layout.n_own
+    found = []
+    for name in layout.rig.lags_that_commute() if layout.ties and n else ():
+        if name in layout.shared_names[n:]:
+            place, other = layout.shared_names.index(name), theta.copy()
+            other[:n], other[place] = theta[place], theta[:n].mean()
+            found.append(other)
+    return found
+
+
 def apart(a: FloatArray, b: FloatArray, places: tuple[int, int]) -> bool:
     """Whether two answers (n_mean,) differ in a lag and in a volume."""
     pair = list(places)

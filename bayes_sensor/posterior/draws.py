@@ -118,7 +118,10 @@ class Draws:
         return self.problem.commuting.named(self.draws[place], choices, chosen[place])
 
     def of(self, name: str) -> FloatArray:
-        """(n,) draws of one parameter; shared ones as in :attr:`named`."""
+        """(n,) draws of one parameter; shared ones as in :attr:`named`, tied ones as well."""
+        source, factor = self.layout.sources.get(name, (name, 1.0))
+        if source != name:
+            return factor * self.of(source)
         if name in self.layout.shared_names:
             return self.named[:, self.layout.shared_names.index(name)]
         lag_names = LAG_NAMES.get(self.naming.n_lags, ())

@@ -85,8 +85,8 @@ def _contents(posterior: Draws) -> tuple[dict[str, Any], dict[str, Any]]:
             known = [f"{flat}[{label}]" in layout.names for label in labels]
             if any(known):
                 columns = [
-                    chains[:, :, layout.index(f"{flat}[{label}]")]
-                    if there
+                    posterior.of(f"{flat}[{label}]").reshape(n_chain, n_draw)
+                    if there or f"{flat}[{label}]" in layout.sources
                     else np.full((n_chain, n_draw), np.nan)
                     for label, there in zip(labels, known, strict=True)
                 ]
