@@ -98,6 +98,38 @@ def test_on_the_published_rig_both_kernels_agree(settings: dict[str, float]) -> 
         assert np.abs(away).max() < most * abs(vector[layout.local[k, 1]])
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"settling_share": 0.3, "settling_time": 0.5, "settling_swing": 1.0},
+        {"closing_ratio": 1.3},
+        {"stroke": 0.3, "stroke_bend": 1.0},
+        {"late_share": 0.1, "late_rise": 0.7, "late_fall": 0.4},
+        {"emptying_ratio": 1.2, "release_ratio": 1.5},
+        {"flow_switching": 1.0},
+        {"pocket_share": 0.1, "pocket_time": 2.0, "inertia": 0.15},
+    ],
+    ids=lambda settings: next(iter(settings)),
+)
+def test_a_second_pulse_is_answered_as_the_first(settings: dict[str, float]) -> None:
+    """Once a rig has come to rest, an imperfection does to a pulse what it did before."""
+    pulses = Commands(np.array([5.0, 20.0, 65.0, 80.0]), np.array([1.0, 0.0, 1.0, 0.0]))
+    stages = ("valve", "manifold", "sensor")
+    campaign = Campaign("two pulses", (experiment("1", 100.0, commands=pulses),), stages=stages)
+    layout, (e,) = Layout.of(campaign), campaign
+    kernel = ExperimentKernel(layout.rig, layout.switching[0], e)
+    lags = np.array([{"tau_s": 1.0, "tau_v_s": 0.5, "V_mL": 60.0}[n] for n in layout.shared_names])
+    p = kernel.parameters(lags, np.concatenate([[0.3, 1.5], pulses.times + 0.33]))
+    usual = kernel.response(e.t, p, ONE)
+    for name, value in settings.items():
+        p[FIRST + INDEX[name]] = value
+    found = kernel.response(e.t, p, ONE)
+    first, second = (e.t >= 5.0) & (e.t < 60.0), (e.t >= 65.0) & (e.t < 120.0)
+    # 40 s are 20 times the slowest time constant of all that is here: exp(-20) = 2e-9
+    assert np.abs(found[first] - found[second]).max() < 1e-7
+    assert np.abs(found - usual).max() > 1e-3
+
+
 @pytest.mark.parametrize("rig", CASES)
 def test_nothing_is_named_where_nothing_is_wrong(rig: str) -> None:
     gap = diagnosed(rig)
