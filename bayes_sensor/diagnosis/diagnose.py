@@ -158,7 +158,7 @@ def diagnose_gap(
         shrink = shrinking_of_noise(shrink, judgement.effects, catalogue, samples, findings)
 
     tell(0.85, "what may hide")
-    hides = HiddenEffects((), best.tau_interval)
+    hides = HiddenEffects((), best.tau_interval, binned.stated_lag)
     if hidden:
         hides = hidden_effects(comparison, best.refit if named else base, catalogue, jobs)
 

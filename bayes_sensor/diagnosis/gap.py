@@ -159,14 +159,15 @@ class Gap:
         """Verdict, size of the gap, and tau without and with the explanation."""
         v, s = self.verdict, self.shrink
         which = (" and " if v.kind == "effect" else " or ").join(v.effects)
-        lag, key = ("shorter lag", "lag_fast") if s.lag_fast else ("tau", "tau")
+        key = "lag_fast" if s.lag_fast else "tau"
         taus = [s.to_json()[f"{key}_{when}_s"] for when in ("before", "after")]
         unit, per_s = ("s", 1.0) if max(taus) > SECONDS else ("ms", 1e3)
         before, after = (per_s * tau for tau in taus)
         return (
             f"Gap({v.kind} {which}".rstrip()
             + f", probability {v.probability:.2f}; d {self.budget['excess_d']:.1f}; "
-            f"{lag} {before:.4g} {unit} without, {after:.4g} {unit} with the best explanation)"
+            f"{self.hidden.lag} {before:.4g} {unit} without, {after:.4g} {unit} with the best "
+            "explanation)"
         )
 
     def _repr_html_(self) -> str:

@@ -43,7 +43,7 @@ def _share(shrink: Mapping[str, Any], key: str) -> str:
 
 def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
     shrink = said["shrink"]
-    key, name = ("lag_fast", "shorter lag") if "lag_fast_before_s" in shrink else ("tau", "tau")
+    key = "lag_fast" if "lag_fast_before_s" in shrink else "tau"
     told = [value for k, value in shrink.items() if k.startswith(f"{key}_") and k.endswith("_s")]
     unit, per_s = ("s", 1.0) if max(v for v in told if v) > SECONDS else ("ms", 1e3)
     each = []
@@ -61,4 +61,4 @@ def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
         each[1:] = [
             f"{middle} {unit} (95 %: {low} to {high} {unit}) with a discrepancy in the model"
         ]
-    return f"{name}: {', '.join(each)}"
+    return f"{said['hidden']['lag'].removeprefix('the ')}: {', '.join(each)}"

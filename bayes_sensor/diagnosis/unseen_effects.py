@@ -72,13 +72,16 @@ class HiddenEffects:
     effects: tuple[HiddenEffect, ...]
     tau_envelope_s: tuple[float, float] | None
     """None where nobody knows which lag is the sensor's"""
+    lag: str = "tau"
+    """the lag that this and all else of tau is said of: ``tau[A]`` with several sensors"""
     lag_fast: Mapping[str, Any] = field(default_factory=dict)
     """what is then said of the shorter lag in place of tau, by key of gap.json"""
 
     def to_json(self) -> dict[str, Any]:
         """The keys of gap.json."""
         effects = [h.to_json() for h in self.effects]
-        return {"effects": effects, "tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
+        envelope = {"tau_envelope_s": self.tau_envelope_s, **self.lag_fast}
+        return {"lag": self.lag, "effects": effects, **envelope}
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -118,7 +121,7 @@ def hidden_effects(
             low, high = min(low, begin), max(high, end)
             made = replace(made, tau_free_low_s=exp(begin), tau_free_high_s=exp(end))
         found.append(made)
-    return HiddenEffects(tuple(found), (exp(low), exp(high)))
+    return HiddenEffects(tuple(found), (exp(low), exp(high)), binned.stated_lag)
 
 
 def _with_strength_free(comparison: Comparison) -> dict[str, tuple[float, float]]:

@@ -270,10 +270,9 @@ def _nothing(found: Conclusion) -> list[str]:
             "No cause is likely enough to be stated, and nothing may be missing beyond the noise "
             f"floor ({percent(probability)})."
         )
-    lag = "tau" if found.comparison.binned.order_known else "the shorter lag"
     return [
-        f"{nothing} Effects that this campaign cannot show may still be there: with them {lag} "
-        f"could be anywhere from {low} to {high} {unit}."
+        f"{nothing} Effects that this campaign cannot show may still be there: with them "
+        f"{found.comparison.binned.stated_lag} could be anywhere from {low} to {high} {unit}."
     ]
 
 

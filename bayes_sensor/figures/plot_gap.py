@@ -216,10 +216,10 @@ def gap_residuals(residuals: Sequence[Mapping[str, Any]], most: int = 10) -> Fig
 def lag_of(hidden: Mapping[str, Any]) -> tuple[str, str]:
     """Key and words of the lag to which a diagnosis refers, from ``hidden`` of ``gap.json``.
 
-    Tau, or the shorter lag if it cannot be assigned.
+    Tau, that of the first of several sensors, or the shorter lag if it cannot be assigned.
     """
-    unknown = "lag_fast_envelope_s" in hidden
-    return ("lag_fast", "the shorter lag") if unknown else ("tau", "τ")
+    of = "lag_fast" if "lag_fast_envelope_s" in hidden else "tau"
+    return of, hidden["lag"].replace("tau", "τ")
 
 
 def gap_hidden(hidden: Mapping[str, Any], tau: float | None = None) -> Figure:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.figures import effect_words
+from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.saved import Saved
 from bayes_sensor.report.words import (
     interval,
@@ -34,7 +35,7 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
     if verdict["kind"] == "none" and low is not None and high is not None:
         upper = f"{number(1e3 * high, 2)} ms"
         reach = f"reach {upper}" if is_limit else f"be from {number(1e3 * low, 2)} to {upper}"
-        words = re.sub(r"(tau could) be anywhere from \S+ to \S+ m?s\b", rf"\1 {reach}", words)
+        words = re.sub(r"could be anywhere from \S+ to \S+ m?s\b", f"could {reach}", words)
     return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
 
 
@@ -47,12 +48,11 @@ def with_the_effect(saved: Saved) -> str:
     if not gap:
         return ""
     verdict, shrink = gap["verdict"], gap["shrink"]
-    symbol, with_it = "τ", gap.get("tau_with_discrepancy_s") or {}
+    of, symbol = lag_of(gap["hidden"])
     if verdict["kind"] == "unlisted" and not posterior.get("with_discrepancy"):
         what = "a smooth discrepancy in the model, which stands for the unlisted cause,"
         option = "--with-discrepancy"
-        if not with_it:
-            symbol, with_it = "the shorter lag", gap.get("lag_fast_with_discrepancy_s") or {}
+        with_it = gap.get(f"{of}_with_discrepancy_s") or {}
         ends = [ms(with_it.get(key)) for key in ("q2.5", "q50", "q97.5")]
     # what is in the noise moves no estimate of tau
     elif (
@@ -63,7 +63,7 @@ def with_the_effect(saved: Saved) -> str:
     ):
         what = f"{list_words([effect_words(name) for name in verdict['effects']])} in the model"
         option = " ".join(f"--with-effect {name}" for name in verdict["effects"])
-        ends = [ms(shrink.get(f"tau_after{end}_s")) for end in ("_lo", "", "_hi")]
+        ends = [ms(shrink.get(f"{of}_after{end}_s")) for end in ("_lo", "", "_hi")]
     else:
         return ""
     low, mid, high = ends

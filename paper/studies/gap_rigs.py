@@ -23,6 +23,7 @@ from bayes_sensor.diagnosis.data.preparation import prepare
 from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect, Form
 from bayes_sensor.diagnosis.effects.rig_view import coating_modes
+from bayes_sensor.diagnosis.evidence.chain_coordinates import coordinates_of
 from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
@@ -372,11 +373,11 @@ def noise_free(
     return [b.average(mean(k, b.experiment.t)) for k, b in enumerate(binned.bins)]
 
 
-def detectability(rig: Rig, mean: Callable[[int, FloatArray], FloatArray]) -> Refit:
+def detectability(rig: Any, mean: Callable[[int, FloatArray], FloatArray]) -> Refit:
     """The model without effects refitted to this mean; d is the root of its misfit."""
     binned = rig.binned
     data = noise_free(binned, mean)
-    plan = Coordinates(binned)
+    plan = coordinates_of(binned)
     starts = base_starts(binned, binned.base)[:3:2]
     return min(
         (refit(plan, x, data=data, most_steps=15) for x in starts), key=lambda r: r.objective

@@ -21,6 +21,7 @@ import study_faults
 import study_fleet
 import study_folders
 import study_gap
+import study_gap_rigs
 import study_hostile
 import study_misfit
 import study_order
@@ -45,6 +46,7 @@ STUDIES = {
     "other-rigs": study_other_rigs.run,
     "coating": study_coating.run,
     "gap": study_gap.run,
+    "gap-rigs": study_gap_rigs.run,
     "unlisted": study_unlisted.run,
     "where": study_where.run,
     "calibration": study_calibration.run,

@@ -41,7 +41,7 @@ def test_a_simulated_rig_is_analysed_and_reported(
     options = ["--sampler", "independence", "--no-figures", "--config", tmp_path / "over.toml"]
     assert run("analyze", campaign, "--out", out, *options) == 0
     said = capsys.readouterr().out
-    assert "not diagnosed" not in said and "could be anywhere from" in said
+    assert "not diagnosed" not in said and "tau[A] could be anywhere from" in said
     posterior = json.loads((out / "posterior.json").read_text())
     for sensor in "AB":
         row = posterior["parameters"][f"tau_s[{sensor}]"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -14,9 +15,12 @@ from bayes_sensor.diagnosis.data.bins import PHASES
 from bayes_sensor.diagnosis.effects.effect_model import Scales, with_effects
 from bayes_sensor.diagnosis.effects.effects_of_rig import Possible
 from bayes_sensor.diagnosis.effects.simulate_effects import simulate_with_effects
+from bayes_sensor.diagnosis.how_far_words import how_far_lines
+from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.report.gap_words import gap_sentence
 from bayes_sensor.rig.cascade import response
 from bayes_sensor.rig.experiment_kernel import ExperimentKernel
 from bayes_sensor.rig.layout import Layout
@@ -263,3 +267,22 @@ def test_the_model_with_an_effect_holds_the_truth_it_was_drawn_from() -> None:
     for e in recorded:
         mean = made.model.mean(T, full, made.layout, e)
         assert np.abs(mean - e.values).max() < 1e-6
+
+
+def test_what_is_said_of_a_resistance_speaks_of_no_voltage() -> None:
+    case = CASES["sensor"]()
+    bent, _ = simulate_with_effects(case.design, case.theta, {"optical_nonlinearity": 0.19}, 4)
+    ohms = replace(bent, signal_unit="ohm")
+    gap = diagnose_gap(ohms, fit_least_squares(ohms, seed=1), bootstrap=0, separate=False)
+    said = " ".join([gap.verdict.sentence, *gap.notes, *how_far_lines(gap.to_json())])
+    assert "1/ohm" in gap.strength_units.values()
+    said += "".join(effect.sentence + effect.reveal for effect in CATALOGUE.values())
+    assert not {"volt", "voltage", "V", "light", "peak"} & set(re.findall(r"\w+", said))
+
+
+def test_of_several_sensors_the_lag_is_stated_by_name() -> None:
+    gap = diagnosed("two sensors")
+    assert "with them tau[A] could be anywhere from" in gap.verdict.sentence
+    assert "tau[A]" in repr(gap)
+    assert lag_of(gap.to_json()["hidden"]) == ("tau", "τ[A]")
+    assert "τ[A] could be from" in gap_sentence(gap.to_json(), is_limit=False)

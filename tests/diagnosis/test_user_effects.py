@@ -90,7 +90,7 @@ def test_a_strength_that_is_not_there_is_told(more: dict[str, Any], message: str
 def test_a_mean_that_is_not_finite_is_told(mean: Callable[..., Any], value: str) -> None:
     campaign = measured({}, seed=9, n=2)
     message = (
-        f"effect bump: expected finite voltages from its function, but got {value} at t = .* s of "
+        f"effect bump: expected finite values from its function, but got {value} at t = .* s of "
         "experiment '1' with bump_V = .*, bump_at = .*; correct it"
     )
     with pytest.raises(CampaignError, match=message):

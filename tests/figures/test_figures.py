@@ -129,7 +129,8 @@ def gap_record(nominal: bool = True) -> dict[str, Any]:
         "shrink": {"after_excess_rms_V": 0.0005, "withheld": not nominal},
         "where": where,
         "which": which,
-        "hidden": {"effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
+        "hidden": {"lag": "tau",
+                   "effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
                                {"effect": "dead_volume", "d": 5.0, "tau_shift_s": -0.04},
                                {"effect": "heavy_tails", "d": None, "tau_shift_s": 0.0}],
                    "tau_envelope_s": [0.02, 0.11]},
@@ -197,7 +198,8 @@ MAKERS = {
     ),
     "gap_hidden_whole": (
         lambda: figures.gap_hidden(
-            {"effects": [{"effect": "daq_filter", "d": 0.0, "tau_shift_s": 0.1, "contradicted": c,
+            {"lag": "tau",
+             "effects": [{"effect": "daq_filter", "d": 0.0, "tau_shift_s": 0.1, "contradicted": c,
                           "tau_with_it_s": 0.05, "tau_low_s": 0.04, "tau_high_s": 0.06}
                          for c in (True, False)], "tau_envelope_s": [None, None]}
         ),

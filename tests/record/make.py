@@ -249,7 +249,7 @@ def of_gap(said: Mapping[str, Any]) -> dict[str, Any]:
         },
         "verdict": said["verdict"],
         "shrink": said["shrink"],
-        "hidden": {key: value for key, value in said["hidden"].items() if key != "effects"},
+        "hidden": {k: v for k, v in said["hidden"].items() if k not in ("effects", "lag")},
         "notes": words(said["notes"]),
     }
 

@@ -260,7 +260,11 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
         "tau_after_lo_s": 0.031,
         "tau_after_hi_s": 0.052,
     }
-    found = {"verdict": verdict, "shrink": shrink, "hidden": {"tau_envelope_s": [0.0068, 0.24]}}
+    found = {
+        "verdict": verdict,
+        "shrink": shrink,
+        "hidden": {"lag": "tau", "tau_envelope_s": [0.0068, 0.24]},
+    }
     saved = replace(
         saved,
         posterior={
@@ -387,7 +391,7 @@ def test_no_section_contradicts_the_gap(saved: Saved) -> None:
                "probability": 0.95}  # fmt: skip
     shrink = {"withheld": False, "tau_after_s": 0.04, "tau_after_lo_s": 0.031,
               "tau_after_hi_s": 0.052}  # fmt: skip
-    found = {"verdict": verdict, "shrink": shrink, "hidden": {}}
+    found = {"verdict": verdict, "shrink": shrink, "hidden": {"lag": "tau"}}
     plain, blamed = replace(saved, gap=None), replace(saved, gap=found)
     for make, said in (
         (time_constant, "With flow settling in the model τ is 40 ms, 95 % interval [31, 52] ms"),
@@ -404,10 +408,11 @@ def test_no_section_contradicts_the_gap(saved: Saved) -> None:
     assert with_the_effect(replace(blamed, posterior=sampled)) == ""
     alone = facts(replace(blamed, posterior=None, bounds=None))  # as bayes-sensor gap leaves it
     assert alone["Model right?"].startswith("No. Found. With flow settling in the model τ is 40 ms")
-    noisy = {"verdict": {**verdict, "effects": ["heavy_tails"]}, "shrink": {"withheld": True}}
+    noisy = {**found, "verdict": {**verdict, "effects": ["heavy_tails"]},
+             "shrink": {"withheld": True}}  # fmt: skip
     assert with_the_effect(replace(plain, gap=noisy)) == ""
     # what is in the noise has a closed fraction, but moves no tau
-    hum = {"verdict": {**verdict, "effects": ["mains_pickup"]},
+    hum = {**found, "verdict": {**verdict, "effects": ["mains_pickup"]},
            "shrink": {**shrink, "explanation": "mains_pickup", "of_mean": False}}  # fmt: skip
     assert with_the_effect(replace(plain, gap=hum)) == ""
 
@@ -430,7 +435,7 @@ def test_intervals_of_tau_that_differ_are_set_side_by_side(
     bounds = saved.bounds | {"methods": saved.bounds["methods"] | {"profile": profile}}
     shrink = {"withheld": True, "tau_after_s": 0.04, "tau_after_lo_s": 0.031,
               "tau_after_hi_s": 0.052}  # fmt: skip
-    gap = {"verdict": {"kind": "none", "effects": []}, "shrink": shrink, "hidden": {}}
+    gap = {"verdict": {"kind": "none", "effects": []}, "shrink": shrink, "hidden": {"lag": "tau"}}
 
     def said(saved: Saved) -> str:
         section = time_constant(saved)
@@ -901,7 +906,8 @@ def diagnosis(saved_names: list[str]) -> dict[str, Any]:
                    "fraction_closed": 0.97, "fraction_closed_lo": 0.9, "fraction_closed_hi": 1.02,
                    "held_out_fraction_closed": 0.93, "tau_before_s": 0.05, "tau_after_s": 0.046,
                    "withheld": False},
-        "hidden": {"effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
+        "hidden": {"lag": "tau",
+                   "effects": [{"effect": "daq_filter", "d": 0.05, "tau_shift_s": 0.0025},
                                {"effect": "dead_volume", "d": 5.0, "tau_shift_s": -0.04},
                                {"effect": "heavy_tails", "d": None, "tau_shift_s": 0.0}],
                    "tau_envelope_s": [0.02, 0.11]},

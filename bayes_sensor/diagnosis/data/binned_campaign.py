@@ -108,6 +108,14 @@ class BinnedCampaign:
         """Whether it is known which of the two lags is the sensor's."""
         return "tau_s" in self.lags
 
+    @property
+    def stated_lag(self) -> str:
+        """What all that is said of tau is said of: the lag of the sensor, by name the first one's
+        where there are several; the shorter lag where nobody knows which is the sensor's."""
+        if not self.order_known:
+            return "the shorter lag"
+        return "tau" if self.chain is None else self.chain.names[0].replace("_s", "", 1)
+
     def moved_by(self, k: int) -> NDArray[np.int64]:
         """(n_switches,) which of the times of experiment ``k`` moves each switch, in the order of
         its bins'."""

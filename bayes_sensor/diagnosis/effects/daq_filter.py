@@ -55,5 +55,5 @@ EFFECT = Effect(
     plausible={"filter": 0.015},
     null={"filter": 0.0},
     reference="photoreceiver and anti-alias filters",
-    reveal="the receiver's response to a switched light",
+    reveal="the recorder's response to a step of its own input",
 )  # fmt: skip

@@ -199,6 +199,6 @@ EFFECT = Effect(
     labels={"mains_V": "amplitude", "mains_Hz": "frequency"},
     null={"mains_V": 0.0},
     reference="line spectra; Percival and Walden 1993, ch. 10",
-    reveal="a battery-powered receiver, or a record without gas",
+    reveal="a battery-powered recorder, or a record without gas",
     on_noise=OnNoise(record=_added, above={"mains_Hz": 0.0}, signal=SIGNAL, closure=_closure),
 )

@@ -28,7 +28,7 @@ EFFECT = Effect(
     name="optical_nonlinearity",
     family="asymmetry",
     stage="readout",
-    sentence="The readout bends: the voltage is not proportional to the concentration, {strength}.",
+    sentence="The readout bends: the signal is not proportional to the concentration, {strength}.",
     forms=(
         Form(_square, lambda v, s: dict(v)),
         Form(_cubic, lambda v, s: dict(v), name="cubic", weight=0.5),

@@ -50,7 +50,7 @@ def own_effect(
     CampaignError
         For a name that cannot be one, without a strength, and where ``plausible`` or ``starts``
         name a strength that is not there.  A diagnosis raises it where the function stops or
-        returns something else than finite voltages.
+        returns something else than finite values.
     """
     fixed = tuple(strengths)
     if not name.isidentifier() or name in ("none", "unlisted"):
@@ -128,7 +128,7 @@ class _Checked:
             i = int(np.argmax(bad))
             at = ", ".join(f"{s.name} = {values[s.name]:.4g}" for s in self.strengths)
             raise CampaignError(
-                f"effect {self.effect}: expected finite voltages from its function, but got "
+                f"effect {self.effect}: expected finite values from its function, but got "
                 f"{found[i]} at t = {t[i]:.10g} s of experiment '{rig.experiment.name}' with {at}; "
                 "correct it"
             )

@@ -75,13 +75,13 @@ class Coordinates(CoordinatePriors):
         except Exception as error:  # whatever the user's code raises is the user's to see
             raise CampaignError(
                 f"an own effect's function stops with {type(error).__name__}: {error}; expected "
-                f"the voltage at each of the {len(at)} times it is given, from the strengths "
+                f"the signal at each of the {len(at)} times it is given, from the strengths "
                 f"{', '.join(values)}: correct it"
             ) from error
         if made.shape != at.shape:
             raise CampaignError(
                 f"an own effect's function returned shape {made.shape}; expected {at.shape}, the "
-                "voltage at each time it is given: correct it"
+                "signal at each time it is given: correct it"
             )
         return made
 

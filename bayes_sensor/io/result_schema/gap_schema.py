@@ -125,6 +125,7 @@ class HiddenEffect(TypedDict):
 
 
 class Hidden(TypedDict):
+    lag: Text
     effects: list[HiddenEffect]
     tau_envelope_s: NotRequired[Ends | None]
     lag_fast_envelope_s: NotRequired[Ends | None]
