@@ -23,8 +23,11 @@ from bayes_sensor.workers import one_thread
 def closed_shares(case: Case) -> dict[str, float]:
     """1 - d_effect^2/d^2 for every effect of the catalogue that acts on the mean.
 
-    Empty where the diagnosis refuses the campaign or there is no misfit.
+    Empty where the diagnosis refuses the campaign or there is no misfit, and on other rigs than the
+    published one, where no verdict is excused by a look-alike.
     """
+    if not case.is_published:
+        return {}
     campaign = make_campaign(case)
     steps = as_recorded(case).steps
     theta = {

@@ -12,7 +12,7 @@ d is the noncentrality, in standard deviations, of the best test against the ide
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,8 +33,10 @@ from bayes_sensor.blind_check.simulator import (
 )
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.rig.cascade import cascade_response, cascade_sensitivities
+from bayes_sensor.rig.chain import Drive, chain_response
 
-GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
+GAUSS = np.polynomial.legendre.leggauss(3)
+"""nodes and weights"""
 FIRST_BIN, GROWTH = 0.015, 0.06
 """width of the bins after a switch: 0.015 s + 0.06 of the time since the switch"""
 N_EFFECTIVE = 1500
@@ -45,11 +47,10 @@ SLOWEST = 0.1
 
 def bin_edges(step: Step) -> np.ndarray:
     """(n_bins + 1,) sample indices: narrow bins after each switch, wide ones elsewhere."""
-    on = max(step.t0 - 0.5, 0.0)
-    edges = [*np.linspace(0.0, on, 9)]
-    for begin, end in ((on, step.tf - 0.3), (step.tf - 0.3, step.duration)):
-        switch = step.t0 if begin == on else step.tf
-        at = begin
+    switches = [each.at for each in step.switches]
+    begins = [max(switches[0] - 0.5, 0.0), *(at - 0.3 for at in switches[1:])]
+    edges = [*np.linspace(0.0, begins[0], 9)]
+    for at, end, switch in zip(begins, [*begins[1:], step.duration], switches, strict=True):
         while at < end:
             edges.append(at)
             since = max(at - switch, 0.0)
@@ -96,23 +97,46 @@ class IdealFit:
         return float(min(np.sqrt(self.theta[0]), np.exp(self.theta[1])))
 
 
+@dataclass(frozen=True)
+class OtherIdealFit(IdealFit):
+    """The same on another rig."""
+
+    with_valve: bool
+    """whether there is a valve, whose lag may be the sensor's"""
+    slower: bool
+    """whether the sensor is the slower of the two"""
+
+    @property
+    def tau(self) -> float:
+        """s; of sensor and valve the one that the sensor is said to be."""
+        lags = [float(np.sqrt(self.theta[0]))]
+        if self.with_valve:
+            lags.append(float(np.exp(self.theta[1])))
+        return max(lags) if self.slower else min(lags)
+
+
 class IdealModel:
     """The ideal model of one rig in bins, whitened by the rig's true noise.
 
     Switch times are those that the recorder's clock gave them.
     """
 
+    quadrature = GAUSS
+
     def __init__(self, case: Case) -> None:
         self.case = case
         self.steps = as_recorded(case).steps
         self.edges = [bin_edges(step) for step in self.steps]
         self.times: dict[str, FloatArray] = {}
-        """s, three Gauss nodes in each bin"""
+        """s, Gauss nodes in each bin"""
         for step, edges in zip(self.steps, self.edges, strict=True):
             # samples i0 .. i1 - 1 lie within half an interval around their first and last
             low, high = (edges[:-1] - 0.5) * step.interval, (edges[1:] - 0.5) * step.interval
-            nodes = 0.5 * (low + high) + 0.5 * (high - low) * GAUSS[:, None]
+            nodes = 0.5 * (low + high) + 0.5 * (high - low) * self.quadrature[0][:, None]
             self.times[step.name] = np.maximum(nodes.T.ravel(), 0.0)
+        self.free = np.ones(len(self.truth()), dtype=bool)
+        """which coordinates the response depends on"""
+        self.free[1:3] = case.has_valve, bool(case.volume)
         ends = np.cumsum([0, *(len(edges) - 1 for edges in self.edges)])
         self.rows = [slice(a, b) for a, b in itertools.pairwise(ends)]
         """bins of each experiment among all"""
@@ -126,7 +150,7 @@ class IdealModel:
             kind = step.n_samples, step.interval
             if kind not in correlations:
                 correlations[kind] = autocorrelation(self.case.noise, *kind)
-            x = (_bin_means(levels[step.name]) - step.y0) / step.beta
+            x = (self._bin_means(levels[step.name]) - step.y0) / step.beta
             s = noise_scale(self.case, step, x)
             covariance = bin_covariance(edges, correlations[kind]) * np.outer(s, s)
             # rounding is white: it keeps narrow bins of smooth noise from being singular
@@ -138,7 +162,7 @@ class IdealModel:
     def whitened(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """(n_bins,) or (n_bins, k) of signals (n_nodes,) or (n_nodes, k) of each experiment."""
         parts = [
-            solve_triangular(factor, _bin_means(signals[step.name]), lower=True)
+            solve_triangular(factor, self._bin_means(signals[step.name]), lower=True)
             for step, factor in zip(self.steps, self.factors, strict=True)
         ]
         return np.concatenate(parts)
@@ -146,6 +170,12 @@ class IdealModel:
     def signal(self, case: Case) -> FloatArray:
         """(n_bins,) whitened signal, without noise, of a case on this rig."""
         return self.whitened(clean_signals(case, self.times))
+
+    def _bin_means(self, at_nodes: FloatArray) -> FloatArray:
+        """Bin means (n_bins, ..) of values at the nodes (n_nodes n_bins, ..)."""
+        weights = self.quadrature[1]
+        shape = (-1, len(weights), *at_nodes.shape[1:])
+        return np.tensordot(0.5 * weights, at_nodes.reshape(shape), axes=(0, 1))
 
     def truth(self) -> FloatArray:
         """The true parameters in the coordinates of :class:`IdealFit`."""
@@ -176,7 +206,7 @@ class IdealModel:
                 (dx[:, 2] - dx[:, 3] - dx[:, 4]) / (2.0 * taus[2]),
                 dx[:, 0] * taus[0], dx[:, 1] * taus[1], np.ones_like(t), x, dx[:, 3], dx[:, 4],
             ]  # fmt: skip
-            means = _bin_means(np.column_stack(columns))
+            means = self._bin_means(np.column_stack(columns))
             white = solve_triangular(self.factors[k], means, lower=True)
             total[self.rows[k], :3] = white[:, :3]
             total[self.rows[k], 3 + 4 * k : 7 + 4 * k] = white[:, 3:]
@@ -191,7 +221,7 @@ class IdealModel:
     def fit(self, target: FloatArray, starts: int = 3) -> IdealFit:
         """The model nearest to ``target`` (n_bins,), from tau, 0.2 tau and 3 tau."""
         shortest = 0.05 * min(step.interval for step in self.steps)
-        low = np.full(3 + 4 * len(self.steps), -np.inf)
+        low = np.full(len(self.truth()), -np.inf)
         high = np.full(len(low), np.inf)
         low[:3] = shortest**2, np.log(1e-3), np.log(1e-2)
         high[:3] = 100.0, np.log(100.0), np.log(1e4)
@@ -200,24 +230,136 @@ class IdealModel:
             start = self.truth()
             start[0] = tau**2
             found.append(least_squares(
-                lambda theta: self.response(theta) - target,
-                np.clip(start, low + 1e-12, high - 1e-12), self.jacobian, bounds=(low, high),
+                lambda free: self.response(self._whole(free)) - target,
+                np.clip(start, low + 1e-12, high - 1e-12)[self.free],
+                lambda free: self.jacobian(self._whole(free))[:, self.free],
+                bounds=(low[self.free], high[self.free]),
                 x_scale="jac", ftol=1e-8, xtol=1e-9, gtol=1e-8, max_nfev=40,
             ))  # fmt: skip
         best = min(found, key=lambda each: float(each.cost))
-        return IdealFit(best.x, -best.fun)
+        return IdealFit(self._whole(best.x), -best.fun)
+
+    def _whole(self, free: FloatArray) -> FloatArray:
+        """theta, with the true values where the response does not depend on it."""
+        theta = self.truth()
+        theta[self.free] = free
+        return theta
 
 
-def _bin_means(at_nodes: FloatArray) -> FloatArray:
-    """Bin means (n_bins, ..) of values at the nodes (3 n_bins, ..)."""
-    shape = (-1, 3, *at_nodes.shape[1:])
-    return np.tensordot(0.5 * WEIGHTS, at_nodes.reshape(shape), axes=(0, 1))
+class OtherIdealModel(IdealModel):
+    """The ideal model of another rig: its lags in a row, and its programme.
+
+    theta: tau^2, ln tau_v, ln V (of what is not there the response does not depend on them), then
+    y0, beta, and tau + each switch time, or tau + one delay up and one down, of each experiment.
+    """
+
+    quadrature = np.polynomial.legendre.leggauss(12)
+
+    def __init__(self, case: Case) -> None:
+        super().__init__(case)
+        ends = np.cumsum([3, *(2 + len(self._delays(step)) for step in self.steps)])
+        self.own = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        """coordinates of each experiment"""
+
+    @staticmethod
+    def _delays(step: Step) -> list[float]:
+        """s, what the switch times follow from."""
+        if not step.shared_delays:
+            return [switch.at for switch in step.switches]
+        up, down = (next(s for s in step.switches if (s.level > 0.0) == to) for to in (True, False))
+        return [up.at - up.commanded, down.at - down.commanded]
+
+    def truth(self) -> FloatArray:
+        """The true parameters."""
+        theta = [self.case.tau**2, np.log(self.case.tau_v), np.log(self.case.V)]
+        for step in self.steps:
+            theta += [step.y0, step.beta, *(at + self.case.tau for at in self._delays(step))]
+        return np.array(theta)
+
+    def _chain(self, theta: FloatArray, k: int) -> tuple[dict[str, float], FloatArray, FloatArray]:
+        """Lags by stage; times of the switches, and which delay moves each."""
+        step = self.steps[k]
+        lags = {"sensor": float(np.sqrt(theta[0]))}
+        if self.case.has_valve:
+            lags["valve"] = float(np.exp(theta[1]))
+        if self.case.volume:
+            lags["volume"] = float(np.exp(theta[2])) / step.total_flow
+        delays = theta[self.own[k]][2:] - lags["sensor"]
+        if not step.shared_delays:
+            return lags, delays, np.eye(len(delays))
+        which = np.array([[s.level > 0.0, s.level == 0.0] for s in step.switches], dtype=float)
+        return lags, np.array([s.commanded for s in step.switches]) + which @ delays, which
+
+    def _mean(self, k: int, taus: Sequence[float], drive: Drive) -> FloatArray:
+        """(n_bins,) means in the bins of what is the response to the derivative of ``drive``."""
+        edges = (self.edges[k] - 0.5) * self.steps[k].interval
+        return np.diff(chain_response(edges, taus, drive)) / np.diff(edges)
+
+    def _response(self, theta: FloatArray, k: int) -> FloatArray:
+        """(n_bins,) normalised response: exact means, as it has a corner at each switch."""
+        lags, at, _ = self._chain(theta, k)
+        levels = np.array([switch.level for switch in self.steps[k].switches])
+        area = np.cumsum(np.append(0.0, levels[:-1] * np.diff(at)))
+        return self._mean(k, list(lags.values()), Drive.of(at, level=area, slope=levels))
+
+    def response(self, theta: FloatArray) -> FloatArray:
+        """(n_bins,) whitened response of the ideal model."""
+        parts = []
+        for k, own in enumerate(self.own):
+            y0, beta = theta[own][:2]
+            y = y0 + beta * self._response(theta, k)
+            parts.append(solve_triangular(self.factors[k], y, lower=True))
+        return np.concatenate(parts)
+
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        """(n_bins, n) whitened derivatives of :meth:`response`.
+
+        By a lag: less the response of the chain with that lag twice to the input's derivative.
+        """
+        total = np.zeros((self.rows[-1].stop, len(theta)))
+        for k, own in enumerate(self.own):
+            beta, levels = theta[own][1], [switch.level for switch in self.steps[k].switches]
+            lags, at, which = self._chain(theta, k)
+            taus, heights = list(lags.values()), np.diff(levels, prepend=0.0)
+            x = self._response(theta, k)
+            by_lag = {
+                name: -beta * self._mean(k, [*taus, tau], Drive.of(at, level=levels))
+                for name, tau in lags.items()
+            }
+            by_switch = [
+                -beta * self._mean(k, taus, Drive.of([time], level=[height]))
+                for time, height in zip(at, heights, strict=True)
+            ]
+            by_delay = np.transpose(by_switch) @ which
+            none = np.zeros_like(x)
+            columns = [
+                # at fixed tau + t the switch comes earlier as tau grows
+                (by_lag["sensor"] - by_delay.sum(axis=1)) / (2.0 * lags["sensor"]),
+                by_lag.get("valve", none) * lags.get("valve", 0.0),
+                by_lag.get("volume", none) * lags.get("volume", 0.0),
+                np.ones_like(x), x, *by_delay.T,
+            ]  # fmt: skip
+            white = solve_triangular(self.factors[k], np.column_stack(columns), lower=True)
+            total[self.rows[k], :3] = white[:, :3]
+            total[self.rows[k], own] = white[:, 3:]
+        return total
+
+    def fit(self, target: FloatArray, starts: int = 3) -> OtherIdealFit:
+        """The model nearest to ``target`` (n_bins,), from tau, 0.2 tau and 3 tau."""
+        found = super().fit(target, starts)
+        slower = self.case.has_valve and self.case.tau > self.case.tau_v
+        return OtherIdealFit(found.theta, found.residual, self.case.has_valve, slower)
+
+
+def ideal_model(case: Case) -> IdealModel:
+    """The ideal model of the rig that a case is on."""
+    return IdealModel(case) if case.is_published else OtherIdealModel(case)
 
 
 def ideal_fit(case: Case, model: IdealModel | None = None, starts: int = 3) -> IdealFit:
     """The ideal model fitted to the signal of a case; ``model``: of the same rig, to save time."""
     if model is None or any(CAUSES[name].family == "clock" for name in case.strengths):
-        model = IdealModel(case)  # a wrong clock moves the switches, and with them the bins
+        model = ideal_model(case)  # a wrong clock moves the switches, and with them the bins
     return model.fit(model.signal(case), starts)
 
 
@@ -278,7 +420,7 @@ def strength_for(case: Case, name: str, d: float) -> tuple[float, float]:
     logarithms, to 5 % of d.
     """
     cause = CAUSES[name]
-    model = None if cause.fast or cause.noise or cause.family == "clock" else IdealModel(case)
+    model = None if cause.fast or cause.noise or cause.family == "clock" else ideal_model(case)
 
     def at(strength: float, starts: int = 1) -> float:
         return detectability(replace(case, strengths={name: strength}), model, starts)

@@ -23,10 +23,13 @@ from bayes_sensor.blind_check.simulator import (
     CAUSES,
     HEAVY_TAILED,
     OPEN_LAWS,
+    OTHER_RIGS,
     RESERVE_LAWS,
     SIZES,
     acting_places,
     draw_case,
+    has_meaning,
+    other_rig,
 )
 from bayes_sensor.campaign import CampaignError
 
@@ -34,6 +37,11 @@ LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
 DEALT = tuple(sorted((*LEVELS, 8.0, 16.0)))
 """how often each is asked for: goals are set for 8 and 16, which need more cases"""
+DEALT_WITH_RESERVE = (2.0, 4.0, 10.0, 10.0, 30.0, 30.0)
+"""the same of a run with the reserve, whose goals are set for 10 and 30"""
+OTHER = "other"
+OTHER_SHARE = 0.25
+"""of the campaigns of a run with the reserve: those on other rigs than the published one"""
 HIDDEN_BELOW = 2.0
 """detectability under which a cause counts as hidden"""
 SHARES = {
@@ -79,46 +87,65 @@ def make_plan(
     seed: int,
     reserve: bool = False,
     size: str = "mixed",
-    levels: Sequence[float] = DEALT,
+    levels: Sequence[float] | None = None,
 ) -> list[Entry]:
     """``n`` cases in random order.
 
     ``reserve`` also takes the causes and noise laws that are kept for a final run.  ``size``:
-    ``mixed`` (two thirds like the paper's campaign, one third of other lengths and intervals) or
-    one of :data:`SIZES`.  ``levels``: detectabilities that every listed and every unlisted cause
-    is drawn with.
+    ``mixed`` (two thirds like the paper's campaign, one third of other lengths and intervals), one
+    of :data:`SIZES`, or ``other``: other rigs alone, of which a run with the reserve has a quarter
+    in any case.  ``levels``: detectabilities that every cause is drawn with.
 
     Raises
     ------
     CampaignError
         If ``n`` is not positive or ``size`` is not known.
     """
-    if size not in ("mixed", *SIZES):
+    if size not in (known := ("mixed", *SIZES, OTHER)):
         raise CampaignError(
-            f"--size: expected one of mixed, {', '.join(SIZES)}, but got '{size}'; correct it"
+            f"--size: expected one of {', '.join(known)}, but got '{size}'; correct it"
         )
     if n < 1:
         raise CampaignError(f"--cases: expected at least one case, got {n}")
+    if levels is None:
+        levels = DEALT_WITH_RESERVE if reserve else DEALT
     rng = np.random.default_rng([seed, 0xB11D])
+    if reserve and size != OTHER and (n_other := round(OTHER_SHARE * n)):
+        parts = [_entries(n - n_other, rng, reserve, size, levels)] if n > n_other else []
+        parts.append(_entries(n_other, rng, reserve, OTHER, levels))
+        entries = [entry for part in parts for entry in part]
+    else:
+        entries = _entries(n, rng, reserve, size, levels)
+    digits = max(4, len(str(n)))
+    order = rng.permutation(n)
+    return [replace(entries[j], name=f"case-{i + 1:0{digits}d}") for i, j in enumerate(order)]
+
+
+def _entries(
+    n: int, rng: np.random.Generator, reserve: bool, size: str, levels: Sequence[float]
+) -> list[Entry]:
+    """``n`` cases by kind, without names."""
     number = counts(n)
+    possible = {c.name: c for c in CAUSES.values() if size != OTHER or _rigs_for((c.name,))}
     other_laws = [law for law in OPEN_LAWS if law not in AR1_LAWS]
     if reserve and RESERVE_LAWS:  # as often as the others together
         other_laws += [RESERVE_LAWS[i % len(RESERVE_LAWS)] for i in range(len(other_laws))]
-    listed = [c.name for c in CAUSES.values() if c.listed]
+    listed = [c.name for c in possible.values() if c.listed]
     drawn: list[tuple[str, tuple[str, ...], float]] = [("null", (), 0.0)] * number["null"]
     open_ones = [name for name in listed if name not in HIDING[:2]]
     drawn += [
         ("listed", (name,), d) for name, d in _dealt(open_ones, levels, number["listed"], rng)
     ]
-    outside = [c.name for c in CAUSES.values() if not c.listed and not c.reserve]
-    kept = [c.name for c in CAUSES.values() if not c.listed and c.reserve]
+    outside = [c.name for c in possible.values() if not c.listed and not c.reserve]
+    kept = [c.name for c in possible.values() if not c.listed and c.reserve]
     unlisted = _dealt(outside, levels, number["unlisted"], rng)
     if reserve and kept:
         unlisted[::2] = _dealt(kept, levels, len(unlisted[::2]), rng)
     drawn += [("unlisted", (name,), d) for name, d in unlisted]
     for _ in range(number["pair"]):
-        drawn.append(("pair", _two_families(rng), float(rng.choice(LEVELS[2:]))))
-    drawn += [("hidden", (HIDING[i % len(HIDING)],), 1.0) for i in range(number["hidden"])]
+        drawn.append(("pair", _two_families(rng, size), float(rng.choice(sorted(set(levels))[2:]))))
+    hiding = [name for name in HIDING if name in possible]
+    drawn += [("hidden", (hiding[i % len(hiding)],), 1.0) for i in range(number["hidden"])]
     seeds = rng.integers(1, 2**31, size=(n, 2)).tolist()
     entries: list[Entry] = []
     for i, (kind, causes, level) in enumerate(drawn):
@@ -129,6 +156,8 @@ def make_plan(
             law = laws[(i // 2) % len(laws)]
         mixed = "paper" if rng.random() < 2.0 / 3.0 else "varied"
         its_size = mixed if size == "mixed" else size
+        if size == OTHER:
+            its_size = str(rng.choice(_rigs_for(causes)))
         entries.append(Entry("", kind, causes, level, law, its_size, *seeds[i]))
     strong = [e for e in entries if e.kind == "listed" and e.level >= 8.0]
     strong = strong or [e for e in entries if e.kind == "listed"]
@@ -136,9 +165,12 @@ def make_plan(
         seed_of_diagnosis = seeds[len(entries)][1]
         twin = strong[i % len(strong)]
         entries.append(replace(twin, kind="withheld", diagnosis_seed=seed_of_diagnosis))
-    digits = max(4, len(str(n)))
-    order = rng.permutation(n)
-    return [replace(entries[j], name=f"case-{i + 1:0{digits}d}") for i, j in enumerate(order)]
+    return entries
+
+
+def _rigs_for(causes: Sequence[str]) -> list[str]:
+    """Other rigs on which all of the causes have a meaning."""
+    return [kind for kind in OTHER_RIGS if all(has_meaning(CAUSES[name], kind) for name in causes)]
 
 
 def _dealt(
@@ -154,12 +186,13 @@ def _dealt(
     return found[:n]
 
 
-def _two_families(rng: np.random.Generator) -> tuple[str, str]:
+def _two_families(rng: np.random.Generator, size: str) -> tuple[str, str]:
     listed = [c for c in CAUSES.values() if c.listed and not c.noise and c.family != "delay"]
     while True:
         first, second = (listed[i] for i in rng.choice(len(listed), 2, replace=False))
-        if first.family != second.family:
-            return first.name, second.name
+        names = first.name, second.name
+        if first.family != second.family and (size != OTHER or _rigs_for(names)):
+            return names
 
 
 def draw_truth(entry: Entry) -> dict[str, Any]:
@@ -169,10 +202,14 @@ def draw_truth(entry: Entry) -> dict[str, Any]:
     misfit that each other effect of the catalogue leaves; ``closed``: share of the gap that the
     right effects close; ``acts``: where the causes act.
     """
-    case = draw_case(entry.seed, law=entry.law, size=entry.size)
+    causes = [CAUSES[name] for name in entry.causes]
+    if entry.size in OTHER_RIGS:
+        needs_valve = any(cause.place == "valve" for cause in causes)
+        case = other_rig(entry.size, entry.seed, entry.law, needs_valve)
+    else:
+        case = draw_case(entry.seed, law=entry.law, size=entry.size)
     strengths = {name: strength_for(case, name, entry.level)[0] for name in entry.causes}
     case = replace(case, strengths=strengths)
-    causes = [CAUSES[name] for name in entry.causes]
     near = {name for cause in causes for name in cause.near}
     if entry.law in HEAVY_TAILED:  # its tails are heavy, whatever else is wrong
         near.add("heavy_tails")

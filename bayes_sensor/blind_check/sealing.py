@@ -109,8 +109,9 @@ def draw_cases(
         for truth in truths:
             target = folder / CAMPAIGNS / truth["name"]
             if not (target / "campaign.toml").is_file():
-                case = Case.from_json(truth["recipe"])
-                write_campaign(make_campaign(case), target, "npz")
+                campaign = make_campaign(Case.from_json(truth["recipe"]))
+                kinds = {e.name: "npz" if e.commands is None else "csv" for e in campaign}
+                write_campaign(campaign, target, kinds)
 
 
 # --------------------------------------------------------------------------- hashes

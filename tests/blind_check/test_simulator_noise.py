@@ -44,6 +44,9 @@ SHAPES = {
     "settling": Component(1.0, 0.02, shape="settling", depth=0.9),
     "counts": Component(1.0, shape="counts", rate=0.7),
     "retuned": Component(1.0, 0.03, shape="retuned", depth=0.1),
+    "calming": Component(1.0, 5e-3, shape="calming", depth=0.8, rate=8.0),
+    "speckle": Component(1.0, 8e-3, shape="speckle"),
+    "shaped": Component(1.0, shape="shaped", depth=0.6),
 }
 
 
@@ -64,9 +67,9 @@ def moments(z: FloatArray, lags: FloatArray) -> tuple[FloatArray, FloatArray]:
     return products.mean(axis=1), products.std(axis=1, ddof=1) / np.sqrt(len(z))
 
 
-def test_there_are_fifteen_laws_and_some_are_kept_back() -> None:
-    assert len(set(LAWS)) == len(LAWS) == 15
-    assert len(RESERVE_LAWS) >= 2 and set(HEAVY_TAILED) < set(LAWS)
+def test_there_are_nineteen_laws_and_some_are_kept_back() -> None:
+    assert len(set(LAWS)) == len(LAWS) == 19
+    assert len(RESERVE_LAWS) == 4 and set(HEAVY_TAILED) < set(LAWS)
     ar1 = {law for law in LAWS if draw_law(law, np.random.default_rng(1), 0.1).is_ar1}
     assert ar1 == {"white", "ar1"}
     with pytest.raises(CampaignError, match="noise law: expected one of white, ar1, .* 'loud'"):
@@ -81,7 +84,7 @@ def test_each_shape_has_the_variance_and_correlation_that_are_said(shape: str) -
     found, error = moments(z, lags)
     expected = autocorrelation(law, 81, INTERVAL)[lags]
     assert expected[0] == pytest.approx(1.0)
-    # five standard errors, of seven lags of twelve shapes; a per mille for the finite stretch
+    # five standard errors, of seven lags of fifteen shapes; a per mille for the finite stretch
     assert np.all(np.abs(found - expected) < 5.0 * error + 1e-3)
     assert np.abs(z.mean()) < 5.0 * z.mean(axis=1).std() / np.sqrt(len(z)) + 1e-3
 
@@ -104,6 +107,9 @@ def test_laws_add_up_and_begin_stationary(name: str) -> None:
     rng = np.random.default_rng(8)
     z = np.array([draw_noise(law, 60, INTERVAL, rng) for _ in range(4000)])
     first, last = np.mean(z[:, :5] ** 2), np.mean(z[:, -5:] ** 2)
+    if name == "waking_laser":  # which is loud when a record begins
+        assert first > 1.5 and last < 0.9 and np.mean(z**2) == pytest.approx(1.0, rel=0.1)
+        return
     assert first == pytest.approx(1.0, abs=0.25) and last == pytest.approx(first, abs=0.3)
 
 
@@ -175,6 +181,10 @@ def test_levels_counts_and_stretches_are_what_their_names_say() -> None:
     calm = np.sort(loud, axis=1)[:, :10].mean()
     assert calm == pytest.approx(0.2, rel=0.05)
     assert loud.max(axis=1).mean() == pytest.approx(0.2 + 0.8 / 0.3, rel=0.1)
+    calming = stretches(law_of(replace(SHAPES["calming"], time=1e-5)), 40)
+    loud = np.mean(calming.reshape(40, 20, 1000) ** 2, axis=(0, 2))
+    expected = 0.2 + 0.8 * np.exp(-8.0 * (np.arange(20) + 0.5) / 20)
+    assert np.allclose(loud, expected / expected.mean(), rtol=0.08)
     retuned = stretches(law_of(SHAPES["retuned"]), 40)
     times = -INTERVAL / np.log(np.mean(retuned[:, 1:] * retuned[:, :-1], axis=1)
                                / np.mean(retuned**2, axis=1))  # fmt: skip

@@ -17,6 +17,22 @@ from bayes_sensor.campaign import CampaignError
 MOST_SAMPLES = 50_000_000
 
 
+PUBLISHED = ("valve", "manifold", "sensor")
+"""what the gas passes on the published rig"""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """One change of what the valve is told."""
+
+    commanded: float
+    """s"""
+    at: float
+    """s, when the gas really begins to follow"""
+    level: float
+    """from then on, 1 is open"""
+
+
 @dataclass(frozen=True)
 class Step:
     """One step experiment: how it is set up and what really happens."""
@@ -40,6 +56,20 @@ class Step:
     """V"""
     beta: float
     """V, plateau above baseline"""
+    programme: tuple[Switch, ...] = ()
+    """switches in order, where they are more than one on and off; ``commanded_on`` and ``t0`` are
+    then those of the first, ``commanded_off`` and ``tf`` those of the last"""
+    shared_delays: bool = False
+    """whether one delay holds for all switches up, and one for all switches down"""
+
+    @property
+    def switches(self) -> tuple[Switch, ...]:
+        """All switches, in order."""
+        pulse = (
+            Switch(self.commanded_on, self.t0, 1.0),
+            Switch(self.commanded_off, self.tf, 0.0),
+        )
+        return self.programme or pulse
 
     @property
     def total_flow(self) -> float:
@@ -87,6 +117,13 @@ class Component:
     ``retuned``
         An Ornstein-Uhlenbeck process with another time in each record, between ``depth`` times
         ``time`` and ``time``.
+    ``calming``
+        Loud when the record begins: variance in proportion to ``1 - depth + depth exp(-rate i/n)``
+        at sample i of n, with a mean of 1.
+    ``speckle``
+        The product of two independent Ornstein-Uhlenbeck processes, each with 2 ``time``.
+    ``shaped``
+        White noise less ``depth`` times the sample before: neighbours correlate negatively.
     """
 
     share: float
@@ -143,10 +180,15 @@ class Case:
     lsb: float = 0.0
     """V, step of the recorder; 0 records doubles"""
     title: str = "simulated rig"
+    stages: tuple[str, ...] = PUBLISHED
+    """what the gas passes, in order; ``tau_v`` or ``V`` of what is not there is a scale only"""
+    flows_told: bool = True
+    """whether the record says the flows"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", tuple(self.steps))
         object.__setattr__(self, "strengths", dict(self.strengths))
+        object.__setattr__(self, "stages", tuple(self.stages))
         if not self.steps or min(self.tau, self.tau_v, self.V) <= 0:
             raise CampaignError(
                 "case: expected at least one experiment and positive tau, tau_v and V, got "
@@ -163,13 +205,34 @@ class Case:
         return step.concentration / self.highest_concentration
 
     @property
+    def has_valve(self) -> bool:
+        """Whether the gas passes a valve with a lag."""
+        return "valve" in self.stages
+
+    @property
+    def volume(self) -> str:
+        """Name of the volume that the gas sweeps; empty where there is none."""
+        return next((name for name in self.stages if name not in ("valve", "sensor")), "")
+
+    @property
+    def is_published(self) -> bool:
+        """Whether the rig is a valve, a manifold and a sensor, and all records are pulses."""
+        return self.stages == PUBLISHED and not any(step.programme for step in self.steps)
+
+    @property
     def mean_step(self) -> float:
         """V, the mean height of the campaign's steps."""
         return sum(abs(step.beta) for step in self.steps) / len(self.steps)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; ``rate``, ``depth`` and ``gust_time`` of the noise only where not 0."""
+        """Plain values; ``rate``, ``depth`` and ``gust_time`` of the noise only where not 0, and
+        what is said of other rigs only on these."""
         content = asdict(self)
+        if self.is_published:
+            del content["stages"], content["flows_told"]
+        for step in content["steps"]:
+            if not step["programme"]:
+                del step["programme"], step["shared_delays"]
         for part in content["noise"]["components"]:
             for name in ("rate", "depth", "gust_time"):
                 if part[name] == 0.0:

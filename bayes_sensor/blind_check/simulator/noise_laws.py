@@ -1,4 +1,4 @@
-"""Noise: fifteen laws, each a sum of components; how a component correlates and how it is drawn."""
+"""Noise: nineteen laws, each a sum of components: how a component correlates and is drawn."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 
 OPEN_LAWS = (
     "ar1", "white", "ar1_slow", "arma", "pink", "band_limited", "oscillating", "telegraph", "shot",
-    "gusty", "turbulent", "mode_hopping", "drilling",
+    "gusty", "turbulent", "mode_hopping", "drilling", "few_photons", "retuned_filter",
 )  # fmt: skip
 """laws for every run; ``ar1`` and ``white`` are within the package's own noise model"""
-RESERVE_LAWS = ("few_photons", "retuned_filter")
+RESERVE_LAWS = ("bench_fan", "waking_laser", "trembling_speckle", "shaped_converter")
 """kept out of every run but the last"""
-HEAVY_TAILED = ("shot", "gusty", "drilling", "few_photons")
+HEAVY_TAILED = ("shot", "gusty", "drilling", "few_photons", "waking_laser", "trembling_speckle")
 """laws whose innovations have clearly more large values than a Gaussian's"""
 
 
@@ -111,6 +111,29 @@ def draw_law(name: str, rng: np.random.Generator, sigma: float) -> NoiseLaw:
             ),
         ),
     }  # fmt: skip
+    (kept,) = own.spawn(1)
+    turned, grainy = kept.uniform(0.02, 0.1), kept.uniform(0.3, 0.7)
+    parts |= {
+        # a fan turns on the same bench, at a speed that wanders
+        "bench_fan": (
+            Component(1.0 - turned, short),
+            Component(turned, between(1.0, 8.0, kept), kept.uniform(9.0, 35.0)),
+        ),
+        # a laser that is loud when a record begins and calms down as it warms up
+        "waking_laser": (
+            Component(
+                1.0, short, shape="calming", depth=kept.uniform(0.7, 0.9),
+                rate=kept.uniform(5.0, 15.0),
+            ),
+        ),
+        # grains of speckle that tremble across the end of a fibre, itself lit by such grains
+        "trembling_speckle": (
+            Component(1.0 - grainy),
+            Component(grainy, between(2e-3, 3e-2, kept), shape="speckle"),
+        ),
+        # a converter that pushes its noise towards the high frequencies
+        "shaped_converter": (Component(1.0, shape="shaped", depth=kept.uniform(0.3, 0.7)),),
+    }  # fmt: skip
     if name not in parts:
         raise CampaignError(f"noise law: expected one of {', '.join(parts)}, got '{name}'")
     return NoiseLaw(name, sigma0, sigma1, parts[name])
@@ -127,6 +150,10 @@ def autocorrelation(law: NoiseLaw, n: int, interval: float) -> FloatArray:
 
 def _correlation(part: Component, lags: FloatArray) -> FloatArray:
     """(n,) autocorrelation of one component at ``lags`` (n,) s."""
+    if part.shape == "shaped":
+        shaped: FloatArray = np.where(lags == 0.0, 1.0, 0.0)
+        shaped[1:2] = -part.depth / (1.0 + part.depth**2)
+        return shaped
     if part.time == 0.0:
         return np.where(lags == 0.0, 1.0, 0.0)
     own: FloatArray = np.exp(-lags / part.time)
@@ -190,6 +217,9 @@ def _draw_component(
 ) -> FloatArray:
     if part.shape == "counts":
         return (rng.poisson(part.rate, n).astype(float) - part.rate) / sqrt(part.rate)
+    if part.shape == "shaped":
+        e = _innovations(n + 1, rng, tails)
+        return (e[1:] - part.depth * e[:-1]) / sqrt(1.0 + part.depth**2)
     if part.time == 0.0:
         return _innovations(n, rng, tails)
     decay = exp(-interval / part.time)
@@ -208,6 +238,11 @@ def _draw_component(
         # not convex, but over by then: on a circle as on a line, to rounding
         length = max(n, ceil(40.0 * part.time / interval))
         return _embedded(_correlation(part, np.arange(length + 1.0) * interval), rng)[:n]
+    if part.shape == "speckle":
+        half = exp(-interval / (2.0 * part.time))
+        return _remembering(rng.standard_normal(n), half) * _remembering(
+            rng.standard_normal(n), half
+        )
     e = _innovations(n, rng, tails)
     if part.frequency:
         # the real part of a complex process that turns
@@ -219,12 +254,20 @@ def _draw_component(
     if part.shape == "gusts":
         gusts = _telegraph(exp(-interval / part.gust_time), n, rng)
         x *= np.sqrt(1.0 + part.depth * gusts)
+    elif part.shape == "calming":
+        x *= _calming(part, n)
     elif part.shape == "drilled":
         # the stretch may begin at the record's end and go on at its beginning
         within = np.mod(np.arange(n) / n + rng.random(), 1.0) < part.rate
         loud = 1.0 + part.depth * (1.0 - part.rate) / part.rate
         x *= np.sqrt(np.where(within, loud, 1.0 - part.depth))
     return x
+
+
+def _calming(part: Component, n: int) -> FloatArray:
+    """(n,) scale of a noise that calms down in the course of a record; its mean square is 1."""
+    variance = 1.0 - part.depth + part.depth * np.exp(-part.rate * np.arange(n) / n)
+    return np.asarray(np.sqrt(variance / variance.mean()))
 
 
 def _innovations(n: int, rng: np.random.Generator, tails: tuple[float, float]) -> FloatArray:

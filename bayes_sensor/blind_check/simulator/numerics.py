@@ -238,6 +238,29 @@ def backlash(x: FloatArray, width: float) -> FloatArray:
 
 
 @compiled()
+def slowly_followed(t: FloatArray, x: FloatArray, rate: FloatArray) -> FloatArray:
+    """(n,) what follows ``x`` (n,) no faster than ``rate`` (n,) 1/s."""
+    out = np.empty(len(x))
+    place = x[0]
+    for i in range(len(x)):
+        most = rate[i] * (t[i] - t[i - 1]) if i > 0 else 0.0
+        place += max(-most, min(most, x[i] - place))
+        out[i] = place
+    return out
+
+
+@compiled()
+def kept_for_good(t: FloatArray, x: FloatArray, time: float) -> FloatArray:
+    """(n,) share of sites that have caught something and never let go: r' = x (1 - r)/``time``."""
+    out = np.zeros(len(x))
+    exposure = 0.0
+    for i in range(1, len(x)):
+        exposure += 0.5 * (max(x[i], 0.0) + max(x[i - 1], 0.0)) * (t[i] - t[i - 1])
+        out[i] = 1.0 - exp(-exposure / time)
+    return out
+
+
+@compiled()
 def two_ranges(y: FloatArray, up: float, down: float, gap: float) -> FloatArray:
     """(n,) ``y``, plus ``gap`` from where it rises above ``up`` until it falls below ``down``."""
     out = np.empty(len(y))

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_sensor.blind_check.simulator.case import Case, Step
+from bayes_sensor.blind_check.simulator.case import Case, Step, Switch
 from bayes_sensor.blind_check.simulator.causes import CAUSES, converter_step, tail_mixture
 from bayes_sensor.blind_check.simulator.noise_laws import draw_noise
 from bayes_sensor.blind_check.simulator.simulated_rig import Rig
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, Commands, Experiment, FloatArray
 
 PHASES = ("baseline", "onset", "rise", "plateau", "fall", "tail")
 
@@ -76,14 +76,28 @@ def make_campaign(case: Case) -> Campaign:
                 name=step.name,
                 t=sample_times(step),
                 y=recorded,
-                carrier_flow=step.carrier_flow,
-                test_gas_flow=step.test_gas_flow,
+                carrier_flow=step.carrier_flow if case.flows_told else None,
+                test_gas_flow=step.test_gas_flow if case.flows_told else None,
                 interval=step.interval,
                 commanded_on=rig.recorded_time(step.commanded_on),
-                commanded_off=rig.recorded_time(step.commanded_off),
+                commanded_off=None if step.programme else rig.recorded_time(step.commanded_off),
+                commands=_commands(rig) if step.programme else None,
             )
         )
-    return Campaign(case.title, tuple(experiments), sensor_is="faster")
+    # on the published rig the sensor was drawn faster, or next to nothing slower
+    is_faster = case.is_published or case.tau < case.tau_v
+    order = ("faster" if is_faster else "slower") if case.has_valve else "unknown"
+    return Campaign(case.title, tuple(experiments), sensor_is=order, stages=case.stages)
+
+
+def _commands(rig: Rig) -> Commands:
+    """The programme of a record, by the recorder's clock."""
+    switches = rig.step.programme
+    return Commands(
+        times=np.array([rig.recorded_time(switch.commanded) for switch in switches]),
+        levels=np.array([switch.level for switch in switches]),
+        delays="shared" if rig.step.shared_delays else "free",
+    )
 
 
 def without_causes(case: Case) -> Case:
@@ -100,43 +114,55 @@ def as_recorded(case: Case) -> Case:
             rig.recorded_time(true)
             for true in (step.t0, step.tf, step.commanded_on, step.commanded_off)
         )
-        steps.append(replace(step, t0=t0, tf=tf, commanded_on=on, commanded_off=off))
+        programme = tuple(
+            Switch(rig.recorded_time(each.commanded), rig.recorded_time(each.at), each.level)
+            for each in step.programme
+        )
+        steps.append(
+            replace(step, t0=t0, tf=tf, commanded_on=on, commanded_off=off, programme=programme)
+        )
     return replace(case, strengths={}, steps=tuple(steps))
 
 
-def phase_edges(case: Case, step: Step) -> dict[str, tuple[float, float]]:
-    """(start, end) s of every phase of an experiment.
+def phase_spans(case: Case, step: Step) -> list[tuple[str, float, float]]:
+    """(phase, start, end) s of every phase of an experiment, in order.
 
-    The rise lasts from t0 until the undisturbed response is within 1 % of its plateau, the fall
-    likewise from tf; onset is what passes between the command and t0.
+    A rise lasts from when the gas really begins to switch on until the undisturbed response is
+    within 1 % of the step's end, a fall likewise; onset is what passes between the command and the
+    rise.  What follows a rise is a plateau, what follows a fall a tail.
     """
     t = np.linspace(0.0, step.duration, 20001)
     _, x = Rig(case, step).voltage(t)
-    up = t[(t >= step.t0) & (t < step.tf) & (x >= 0.99)]
-    down = t[(t >= step.tf) & (x <= 0.01)]
-    settled = float(up[0]) if len(up) else step.tf
-    emptied = float(down[0]) if len(down) else step.duration
-    on = min(step.commanded_on, step.t0)
-    return {
-        "baseline": (0.0, on),
-        "onset": (on, step.t0),
-        "rise": (step.t0, settled),
-        "plateau": (settled, step.tf),
-        "fall": (step.tf, emptied),
-        "tail": (emptied, step.duration),
-    }
+    switches = step.switches
+    found = [("baseline", 0.0, min(switches[0].commanded, switches[0].at))]
+    level = 0.0
+    for i, switch in enumerate(switches):
+        end = switches[i + 1].at if i + 1 < len(switches) else step.duration
+        up = switch.level > level
+        if up:  # begins with the command, which ends what was before
+            phase, start, _ = found[-1]
+            begin = min(switch.commanded, switch.at)
+            found[-1] = phase, start, begin
+            found.append(("onset", begin, switch.at))
+        left = (switch.level - x) / (switch.level - level)
+        arrived = t[(t >= switch.at) & (t < end) & (left <= 0.01)]
+        settled = float(arrived[0]) if len(arrived) else end
+        found.append(("rise" if up else "fall", switch.at, settled))
+        found.append(("plateau" if up else "tail", settled, end))
+        level = switch.level
+    return found
 
 
 def acting_places(case: Case) -> dict[tuple[str, str], float]:
     """Where the causes act: share of the squared noise-free difference by (experiment, phase)."""
     ideal_case = as_recorded(case)
     with_causes, ideal = clean_signals(case), clean_signals(ideal_case)
-    energy = {}
+    energy: dict[tuple[str, str], float] = {}
     for step in ideal_case.steps:
         t = sample_times(step)
         difference = (with_causes[step.name] - ideal[step.name]) ** 2
-        for phase, (low, high) in phase_edges(ideal_case, step).items():
-            part = difference[(t >= low) & (t < high)]
-            energy[step.name, phase] = float(part.sum()) * step.interval
+        for phase, low, high in phase_spans(ideal_case, step):
+            part = float(difference[(t >= low) & (t < high)].sum()) * step.interval
+            energy[step.name, phase] = energy.get((step.name, phase), 0.0) + part
     total = sum(energy.values())
     return {place: value / total if total > 0 else 0.0 for place, value in energy.items()}

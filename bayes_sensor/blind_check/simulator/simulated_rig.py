@@ -60,11 +60,15 @@ class Rig:
         """what is read of y (n,) at true times (k,)"""
 
     def _command(self, t: FloatArray) -> Target:
+        switches = self.step.switches
+        levels = np.array([0.0, *(switch.level for switch in switches)])
         middle = 0.5 * (t[1:] + t[:-1])
-        target = ((middle > self.step.t0) & (middle < self.step.tf)).astype(float)
+        target = levels[np.searchsorted([switch.at for switch in switches], middle)]
         return target, target
 
     def _valve(self, t: FloatArray, target: Target) -> FloatArray:
+        if not self.case.has_valve:  # it follows at once
+            return np.concatenate([target[0][:1], target[1]])
         return np.asarray(valve(t, *target, self.case.tau_v, 0.0))
 
     def _stream(self, t: FloatArray, opening: FloatArray) -> Stream:
@@ -75,6 +79,8 @@ class Rig:
 
     def _manifold(self, t: FloatArray, stream: Stream) -> FloatArray:
         inlet, flow = stream
+        if not self.case.volume:
+            return inlet
         return np.asarray(lag(t, inlet, self.case.V / (0.5 * (flow[1:] + flow[:-1])), 0.0))
 
     # ------------------------------------------------------------------ what several causes do
@@ -119,7 +125,7 @@ class Rig:
     def trace(self, times: FloatArray) -> Trace:
         """What happens in every part, on nodes that hold the true ``times`` (k,) s."""
         step, case = self.step, self.case
-        events = [step.t0, step.tf, *self.marks]
+        events = [*(switch.at for switch in step.switches), *self.marks]
         t = nodes(times, events, min(case.tau_v, case.V / step.total_flow))
         opening = self.valve(t, self.command(t))
         stream = self.stream(t, opening)

@@ -69,7 +69,7 @@ def range_change(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     rig.receive(lambda t, y: np.asarray(two_ranges(y, up, down, gap)))
 
 
-@CAUSES.cause((), "level", "share of the step", 0.3, near=("optical_nonlinearity",), reserve=True)
+@CAUSES.cause((), "level", "share of the step", 0.3, near=("optical_nonlinearity",))
 def clipped_range(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     """The converter's range ends ``s`` of the mean step below the highest plateau, which is cut."""
     top = max(step.y0 + step.beta for step in rig.case.steps) - s * rig.case.mean_step
@@ -106,6 +106,39 @@ def lost_samples(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
 
     rig.clock = clock
     rig.marks += [edge for at, lasts in gaps for edge in (at, at + lasts)]
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "drift", "record lengths over its time", 2.0, reserve=True)
+def coupling_capacitor(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The input was left on AC: a capacitor passes changes and lets the level leak away.
+
+    The plateau sinks, and what follows the pulse lies below where it began.
+    """
+    time = max(step.duration for step in rig.case.steps) / s
+    rig.receive(lambda t, y: y[0] + (y - steady_lag(t, y, time)))
+
+
+@CAUSES.cause((), "delay", "s", 1.5, near=("daq_filter",), reserve=True)
+def smoothed_export(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The export puts a running mean over the record, centred: it knows what comes."""
+
+    def averaged(t: FloatArray, y: FloatArray, true: FloatArray) -> FloatArray:
+        area = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))])
+        low, high = np.maximum(true - 0.5 * s, t[0]), np.minimum(true + 0.5 * s, t[-1])
+
+        def until(at: FloatArray) -> FloatArray:
+            # within an interval the signal is a straight line, its integral a parabola
+            i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+            part = at - t[i]
+            slope = (y[i + 1] - y[i]) / (t[i + 1] - t[i])
+            return np.asarray(area[i] + part * (y[i] + 0.5 * slope * part))
+
+        return np.asarray((until(high) - until(low)) / (high - low))
+
+    rig.sample = averaged
 
 
 # --------------------------------------------------------------------------- the noise alone

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import pi
 
 import numpy as np
@@ -101,3 +102,46 @@ def soft_start(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     lasts = s * (rig.step.test_gas_flow / largest if one_slope else 1.0)
     rig.scale_test_gas(lambda t: np.where(t >= t0, np.minimum((t - t0) / lasts, 1.0), 1.0))
     rig.marks.append(t0 + lasts)
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "plateau", "relative", 0.5, reserve=True)
+def hunting_controller(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The test gas's controller hunts: its needle sticks, so that the flow creeps up and falls.
+
+    A saw tooth around the set point, of one period in all experiments and a phase in each.
+    """
+    period, creeps = log_uniform(rng, 2.5, 14.0), rng.uniform(0.6, 0.95)
+    begin = own.random()
+
+    def saw(t: FloatArray) -> FloatArray:
+        part = np.mod(t / period + begin, 1.0)
+        return 1.0 + s * (2.0 * np.minimum(part / creeps, (1.0 - part) / (1.0 - creeps)) - 1.0)
+
+    rig.scale_test_gas(saw)
+    turns = np.arange(-1.0, rig.step.duration / period + 1.0)
+    edges = np.concatenate([turns - begin, turns + creeps - begin]) * period
+    rig.marks += edges[(edges > 0.0) & (edges < rig.step.duration)].tolist()
+
+
+@CAUSES.cause((), "spike", "relative", 2.0, near=("flow_settling",), reserve=True)
+def pent_up_line(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """Test gas that its controller has pressed into the line behind the shut valve rushes out.
+
+    The pressure falls as the line empties through its choked outlet: as 1/(1 + t/T)^2.
+    """
+    time = log_uniform(rng, 0.3, 3.0)
+    ups = [switch.at for switch in rig.step.switches if switch.level > 0.0][:1]
+    ups += [b.at for a, b in pairwise(rig.step.switches) if a.level == 0.0 < b.level]
+
+    def surge(t: FloatArray) -> FloatArray:
+        factor = np.ones(len(t))
+        for at in ups:
+            factor = np.where(
+                t >= at, 1.0 + s / (1.0 + np.maximum(t - at, 0.0) / time) ** 2, factor
+            )
+        return factor
+
+    rig.scale_test_gas(surge)

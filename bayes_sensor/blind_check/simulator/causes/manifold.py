@@ -9,7 +9,11 @@ from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.case import Case
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform
-from bayes_sensor.blind_check.simulator.numerics import connected_volumes
+from bayes_sensor.blind_check.simulator.numerics import (
+    connected_volumes,
+    slowly_followed,
+    steady_lag,
+)
 from bayes_sensor.blind_check.simulator.simulated_rig import Rig, Stream
 from bayes_sensor.campaign import FloatArray
 
@@ -133,3 +137,46 @@ def trapped_plug(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
 
     rig.let_in(plug)
     rig.marks += [begin, end]
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "tail", "share", 0.4, near=("dead_volume",), reserve=True)
+def silicone_hose(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The hose is of silicone: gas soaks into its wall by diffusion, and comes back as slowly.
+
+    Between the times that it takes to the wall's first layers and through all of it, what is
+    missing falls as the root of time: lags an octave apart, each with a weight as T^-1/2.
+    """
+    shortest = log_uniform(rng, 0.3, 1.0)
+    times = shortest * 2.0 ** np.arange(int(rng.integers(5, 8)))
+    weights = times**-0.5 / np.sum(times**-0.5)
+    clean = rig.manifold
+
+    def gas(t: FloatArray, stream: Stream) -> FloatArray:
+        x = clean(t, stream)
+        soaked = sum(
+            (w * steady_lag(t, x, float(T)) for w, T in zip(weights, times, strict=True)),
+            np.zeros(len(t)),
+        )
+        return (1.0 - s) * x + s * soaked
+
+    rig.manifold = gas
+
+
+@CAUSES.cause((), "tail", "share", 0.4, reserve=True)
+def heavy_gas_pool(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """Test gas, heavier than the carrier, lies as a pool over part of the ring.
+
+    Its surface rises and sinks at an even rate, in proportion to the flow, until it meets what
+    streams above: it fills and empties in a straight line.
+    """
+    volume = rng.uniform(3.0, 15.0) * rig.case.V
+    above = rig.manifold
+
+    def gas(t: FloatArray, stream: Stream) -> FloatArray:
+        x = above(t, stream)
+        return (1.0 - s) * x + s * np.asarray(slowly_followed(t, x, stream[1] / volume))
+
+    rig.manifold = gas

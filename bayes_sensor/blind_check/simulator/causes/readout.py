@@ -99,8 +99,7 @@ def passing_bubble(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     rig.marks += at.tolist()
 
 
-@CAUSES.cause((), "drift", "share of the step", 0.15, near=("baseline_step",), per_experiment=True,
-              reserve=True)  # fmt: skip
+@CAUSES.cause((), "drift", "share of the step", 0.15, near=("baseline_step",), per_experiment=True)
 def room_lamp(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     """Somebody turns the room's lamp on for a while, and its light falls on the photodiode.
 
@@ -119,3 +118,42 @@ def room_lamp(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
 
     rig.add(light)
     rig.marks += [on, off]
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "level", "share of the step", 0.2, near=("optical_nonlinearity",), reserve=True)
+def fringes(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """A connector reflects: a fringe of its cavity lies on what is read of the moving resonance.
+
+    One and a half to five fringes pass as the signal goes from its baseline to the highest plateau.
+    """
+    many, phase = rng.uniform(1.5, 5.0), rng.uniform(0.0, 2.0 * pi)
+    shift, size, clear = rig.relative, s * rig.case.mean_step, rig.readout
+
+    def read(t: FloatArray, x: FloatArray) -> FloatArray:
+        fringe = np.sin(2.0 * pi * many * shift * x + phase) - np.sin(phase)
+        return np.asarray(clear(t, x) + size * fringe)
+
+    rig.readout = read
+
+
+@CAUSES.cause((), "drift", "relative", 0.4, per_experiment=True, reserve=True)
+def swaying_fibre(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """A door slams, the fibre sways, and its polarisation with it: the light swings and calms.
+
+    In one experiment for certain, in others perhaps; a swing or less in a second.
+    """
+    certain = int(rng.integers(len(rig.case.steps)))
+    at = own.uniform(0.05, 0.85) * rig.step.duration
+    frequency, lasts = log_uniform(own, 0.15, 1.0), log_uniform(own, 2.0, 12.0)
+    if rig.number != certain and own.random() < 0.6:
+        return
+
+    def sway(t: FloatArray) -> FloatArray:
+        since = np.maximum(t - at, 0.0)
+        return s * np.exp(-since / lasts) * np.sin(2.0 * pi * frequency * since)
+
+    rig.scale(sway)
+    rig.marks.append(at)

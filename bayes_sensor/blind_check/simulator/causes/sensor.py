@@ -8,6 +8,7 @@ from numpy.random import Generator
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform, random_sign
 from bayes_sensor.blind_check.simulator.numerics import (
     backlash,
+    kept_for_good,
     langmuir,
     layered_film,
     steady_lag,
@@ -84,5 +85,42 @@ def sensor_hysteresis(rig: Rig, s: float, rng: Generator, own: Generator) -> Non
     def response(t: FloatArray, gas: FloatArray) -> FloatArray:
         x = straight(t, gas)
         return x + s * (backlash(x, 0.25) - x)
+
+    rig.sensor = response
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "tail", "share", 0.4, near=("slow_sorption",), reserve=True)
+def driven_out_water(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The test gas is dry: it drives water out of the coating, whose loss takes the signal down.
+
+    Afterwards the damp carrier brings the water back, half as fast again or half as slow.
+    """
+    time, ratio = log_uniform(rng, 4.0, 25.0), log_uniform(rng, 0.5, 2.0)
+    dry = rig.sensor
+
+    def response(t: FloatArray, gas: FloatArray) -> FloatArray:
+        lost = np.asarray(langmuir(t, gas, time, 0.0, 0.0, 0.5 * float(np.log(ratio)), 0.1))
+        return dry(t, gas) - s * lost
+
+    rig.sensor = response
+
+
+@CAUSES.cause((), "tail", "share", 0.4, near=("slow_sorption",), per_experiment=True, reserve=True)
+def fresh_coating(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """A fresh coating keeps part of the first gas that it meets for good.
+
+    In the first experiment the signal therefore creeps up and does not come back to where it
+    began; in the later ones these sites are full.
+    """
+    time = log_uniform(rng, 2.0, 20.0)
+    if rig.number > 0:
+        return
+    used = rig.sensor
+
+    def response(t: FloatArray, gas: FloatArray) -> FloatArray:
+        return used(t, gas) + s * np.asarray(kept_for_good(t, gas, time))
 
     rig.sensor = response

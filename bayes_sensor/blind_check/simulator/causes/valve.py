@@ -6,7 +6,12 @@ import numpy as np
 from numpy.random import Generator
 
 from bayes_sensor.blind_check.simulator.causes.cause import Causes, log_uniform
-from bayes_sensor.blind_check.simulator.numerics import heavy_valve, stick_slip, valve
+from bayes_sensor.blind_check.simulator.numerics import (
+    heavy_valve,
+    steady_lag,
+    stick_slip,
+    valve,
+)
 from bayes_sensor.blind_check.simulator.simulated_rig import Rig, Target
 from bayes_sensor.campaign import FloatArray
 
@@ -100,3 +105,48 @@ def grain_in_seat(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
     # where the falling plunger meets the grain, and where it falls on
     meets = tf - rig.case.tau_v * float(np.log(size))
     rig.marks += [at for at in (meets, gone) if at < rig.step.duration]
+
+
+# ------------------------------------------------------------------- kept for the final run
+
+
+@CAUSES.cause((), "plateau", "share of the stroke", 0.4, reserve=True)
+def warming_coil(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """The coil warms while it holds the valve open; its pull weakens and the plunger sags.
+
+    Between the pulses it cools, as slowly.
+    """
+    time = log_uniform(rng, 4.0, 30.0)
+    cold = rig.valve
+
+    def opening(t: FloatArray, target: Target) -> FloatArray:
+        current = np.concatenate([target[0][:1], target[1]])
+        return cold(t, target) * (1.0 - s * steady_lag(t, current, time))
+
+    rig.valve = opening
+
+
+@CAUSES.cause((), "tail", "share of the stroke", 0.4, near=("two_rate_valve",), reserve=True)
+def pilot_stage(rig: Rig, s: float, rng: Generator, own: Generator) -> None:
+    """A pilot opens first; the rest of the stroke waits until pressure has built up behind it.
+
+    Both shut together.
+    """
+    wait = log_uniform(rng, 0.4, 2.5)
+    ups, level = [], 0.0
+    for switch in rig.step.switches:
+        if switch.level > level:
+            ups.append((switch.at, switch.level - level))
+        level = switch.level
+    command = rig.command
+
+    def in_two(t: FloatArray) -> Target:
+        middle = 0.5 * (t[1:] + t[:-1])
+        late = np.zeros(len(middle))
+        for at, height in ups:
+            late += s * height * ((middle > at) & (middle < at + wait))
+        first, last = command(t)
+        return np.maximum(first - late, 0.0), np.maximum(last - late, 0.0)
+
+    rig.command = in_two
+    rig.marks += [at + wait for at, _ in ups]
