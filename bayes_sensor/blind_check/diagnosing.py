@@ -74,6 +74,7 @@ def trimmed(gap: Mapping[str, Any]) -> dict[str, Any]:
         if v is None or isinstance(v, bool | int | float | str)
     }
     kept["budget"] = {k: gap["budget"].get(k) for k in ("excess_d", "p_value")}
+    kept["tau_with_discrepancy_s"] = gap.get("tau_with_discrepancy_s")
     kept["tau_envelope_s"] = gap["hidden"]["tau_envelope_s"] or [None, None]
     result: dict[str, Any] = plain(kept)
     return result

@@ -198,7 +198,7 @@ def test_reserved_causes_and_laws_come_only_when_asked_for() -> None:
     assert {entry.law for entry in plan if entry.kind == "null"} == {*OPEN_LAWS, *RESERVE_LAWS}
     with pytest.raises(CampaignError, match="at least one case, got 0"):
         make_plan(0, 1)
-    with pytest.raises(CampaignError, match="one of mixed, paper, varied, small, but got 'big'"):
+    with pytest.raises(CampaignError, match="one of mixed, paper, varied, small, other, but got"):
         make_plan(4, 1, size="big")
 
 
