@@ -37,8 +37,10 @@ LEVELS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """detectabilities asked for"""
 DEALT = tuple(sorted((*LEVELS, 8.0, 16.0)))
 """how often each is asked for: goals are set for 8 and 16, which need more cases"""
-DEALT_WITH_RESERVE = (2.0, 4.0, 10.0, 10.0, 30.0, 30.0)
-"""the same of a run with the reserve, whose goals are set for 10 and 30"""
+DEALT_WITH_RESERVE = (10.0, 30.0)
+"""the same of a run with the reserve: those that its goals are set for"""
+STRONG = 8.0
+"""detectability from which two causes are drawn together, and one is withheld"""
 OTHER = "other"
 OTHER_SHARE = 0.25
 """of the campaigns of a run with the reserve: those on other rigs than the published one"""
@@ -142,8 +144,9 @@ def _entries(
     if reserve and kept:
         unlisted[::2] = _dealt(kept, levels, len(unlisted[::2]), rng)
     drawn += [("unlisted", (name,), d) for name, d in unlisted]
+    strong = sorted({d for d in levels if d >= STRONG}) or [max(levels)]
     for _ in range(number["pair"]):
-        drawn.append(("pair", _two_families(rng, size), float(rng.choice(sorted(set(levels))[2:]))))
+        drawn.append(("pair", _two_families(rng, size), float(rng.choice(strong))))
     hiding = [name for name in HIDING if name in possible]
     drawn += [("hidden", (hiding[i % len(hiding)],), 1.0) for i in range(number["hidden"])]
     seeds = rng.integers(1, 2**31, size=(n, 2)).tolist()
@@ -159,11 +162,11 @@ def _entries(
         if size == OTHER:
             its_size = str(rng.choice(_rigs_for(causes)))
         entries.append(Entry("", kind, causes, level, law, its_size, *seeds[i]))
-    strong = [e for e in entries if e.kind == "listed" and e.level >= 8.0]
-    strong = strong or [e for e in entries if e.kind == "listed"]
+    plain = [e for e in entries if e.kind == "listed" and e.level >= STRONG]
+    plain = plain or [e for e in entries if e.kind == "listed"]
     for i in range(n - len(entries)):  # listed cases once more, their effects taken out
         seed_of_diagnosis = seeds[len(entries)][1]
-        twin = strong[i % len(strong)]
+        twin = plain[i % len(plain)]
         entries.append(replace(twin, kind="withheld", diagnosis_seed=seed_of_diagnosis))
     return entries
 
