@@ -582,25 +582,36 @@ def test_the_sums_of_the_earlier_runs_are_those_of_their_rows() -> None:
     together = pd.read_csv(TABLES / "blind_check_together.csv").set_index("what")
     old = runs[runs["note"].fillna("").str.startswith("made by earlier code")]
     assert len(old) == 24 and (old["campaigns"] == 600).all()
-    ruled = runs["found_or_unnamed_d8"].notna()
+    ruled = runs["found_or_unnamed_d8"].notna() | runs["found_or_unnamed_d10"].notna()
     assert (~ruled).sum() == 5  # which the page says
+    at = (8, 10, 16, 30)
     for what, count, of, some in (
         ("null hypotheses named", ["nulls_named"], ["nulls"], runs),
         ("wrong names", ["wrong_names"], ["with_a_cause"], runs),
-        ("right family", ["right_family_d8", "right_family_d16"], ["listed_d8", "listed_d16"],
-         runs),
-        ("unknown causes found", ["found_d8", "found_d16"], ["unlisted_d8", "unlisted_d16"], runs),
-        ("unknown causes found or rightly unnamed", ["found_or_unnamed_d8", "found_or_unnamed_d16"],
-         ["unlisted_d8", "unlisted_d16"], runs[ruled]),
+        ("right family", [f"right_family_d{d}" for d in at], [f"listed_d{d}" for d in at], runs),
+        ("unknown causes found", [f"found_d{d}" for d in at], [f"unlisted_d{d}" for d in at], runs),
+        ("unknown causes found or rightly unnamed", [f"found_or_unnamed_d{d}" for d in at],
+         [f"unlisted_d{d}" for d in at], runs[ruled]),
     ):  # fmt: skip
         k, n = int(some[count].sum().sum()), int(some[of].sum().sum())
         row = together.loc[what]
         assert (row["count"], row["of"], row["runs"]) == (k, n, len(some)), what
         assert (row["lo95"], row["hi95"]) == pytest.approx(wilson(k, n), rel=1e-3)
     page = (ROOT / "docs" / "blind_check.md").read_text(encoding="utf-8")
-    assert len(page) <= 3500 and "after the first five runs" in page
+    assert len(page) <= 5000 and "after the first five runs" in page
+    last = pd.read_csv(TABLES / "blind_check_last.csv").query("rig == 'all'").set_index("what")
+    assert (
+        last["count"]["null hypotheses named"] == 0
+        and f"with {runs.campaigns.iloc[-1]} campaigns" in page
+    )
+    assert last["count"][["wrong names, listed causes", "wrong names, unlisted causes"]].sum() == 0
+    told = [
+        f"{last['count'][what]:.0f} of {last['of'][what]}"
+        for what in (*(f"right effect first at d = {d}" for d in (10, 30)), "right phase at d = 30")
+    ]
+    assert "{} at d = 10 and in {} at d = 30, and the right phase in {}".format(*told) in page
     share = together.share["unknown causes found or rightly unnamed"]
-    assert f"the last row is {100 * share:.0f} % (19 runs)" in page
+    assert f"the last row is {100 * share:.0f} % ({ruled.sum()} runs)" in page
 
 
 # --------------------------------------------------------------------------- the bundled campaign
@@ -696,13 +707,56 @@ def test_a_small_blind_check_from_the_command_line(
 @pytest.mark.tables
 def test_the_study_counts_a_run_as_the_card_does(many: list[Row], import_study: Any) -> None:
     study = import_study("study_blind_check")
-    found, card = study.counted(many), make_card(many)
+    found, card = study.counted(many, study.OF_EARLIER_RUNS), make_card(many)
     assert found["nulls_named"] == card["nulls"]["all"]["named"]["k"]
     for i, d in ((2, 8), (3, 16)):
         assert found[f"right_family_d{d}"] == card["accuracy"][i]["family_or_abstained"]["k"]
         part = card["unlisted"]["flagged"][i]
         assert found[f"found_or_unnamed_d{d}"] == part["flagged_or_unnamed"]["k"]
-    runs = pd.read_csv(TABLES / "blind_check_runs.csv", keep_default_na=False)
-    assert {"run", "date", "code", *found, "note"} == set(runs)
+    # the goals' detectabilities are counted at the levels next to them
+    near = study.counted(many)
+    assert near["listed_d10"] == found["listed_d8"] > 0 and near["unlisted_d30"] > 0
+    runs = pd.read_csv(TABLES / "blind_check_runs.csv", dtype=str, keep_default_na=False)
+    assert {"run", "date", "code", *found, *near, "note"} == set(runs)
     kept = pd.read_csv(TABLES / "blind_check_together.csv")
     pd.testing.assert_frame_equal(study.together(runs), kept, rtol=1e-3, check_dtype=False)
+
+
+def test_the_last_run_is_counted_on_each_rig_and_against_its_goals(import_study: Any) -> None:
+    study = import_study("study_blind_check")
+    rows = {"none": 0.02, "unlisted": 0.02, "dead_volume": 0.95, "gain_drift": 0.01}
+    named = trimmed(verdict(rows, "effect", ["dead_volume"], 0.95))
+    unlisted = trimmed({
+        **verdict({"none": 0.0, "unlisted": 1.0}, "unlisted", p=0.99),
+        "tau_with_discrepancy_s": {"q2.5": 0.03, "q50": 0.05, "q97.5": 0.06},
+    })  # fmt: skip
+    fall = places({"fall": 0.9, "tail": 0.1})
+    rise = places({"rise": 0.85, "plateau": 0.15})
+    pairs = [
+        (truth([["dead_volume"]], d=30.0, size="paper", tau_s=0.05, acts=rise), named),
+        (truth([["gain_drift"]], d=30.0, size="cell", tau_s=0.05, acts=fall), named),
+        (truth([[]], d=10.0, size="train", tau_s=0.05), unlisted),
+        (truth([[]], d=10.0, size="varied", tau_s=0.07), unlisted),
+        (truth([], size="sensor", tau_s=0.05), named),
+    ]
+    found = study.last_run(pairs).set_index(["rig", "what"])
+
+    def share(rig: str, what: str) -> tuple[int, int]:
+        return int(found["count"][rig, what]), int(found["of"][rig, what])
+
+    first = "right effect first at d = 30"
+    assert [share(rig, first) for rig in study.RIGS] == [(1, 2), (1, 1), (0, 1)]
+    assert share("all", "wrong names, listed causes") == (1, 2)
+    assert (
+        share("all", "null hypotheses named") == share("other", "null hypotheses named") == (1, 1)
+    )
+    assert share("all", "unlisted causes found at d = 10") == (2, 2)
+    # the verdicts say the rise
+    assert [share(rig, "right phase at d = 30") for rig in study.RIGS] == [(1, 2), (1, 1), (0, 1)]
+    held = "tau held after an unlisted verdict, d from 8"
+    assert [share(rig, held) for rig in study.RIGS] == [(1, 2), (0, 1), (1, 1)]
+    goals = {goal["goal"]: goal for goal in study.reached(study.last_run(pairs))}
+    assert goals[first]["wanted"] == ">= 0.95" and goals[first]["met"] is False
+    assert goals["null hypotheses named"]["reached"] == 1.0
+    spread = {"rise": 0.5, "fall": 0.5}
+    assert study.phase_found((truth([["gain_drift"]], acts=places(spread)), named)) is None
