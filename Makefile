@@ -27,7 +27,7 @@ help:
 	@echo "make record    every recorded result once more, each difference by name (CASES=folder: more)"
 	@echo "make lint      formatter and linter in check mode, types"
 	@echo "make format    let the formatter and the linter mend what they can"
-	@echo "make bench     speed of likelihood and posterior"
+	@echo "make bench     speed of likelihood, posterior and whole commands"
 	@echo "make study     the long studies behind the paper (JOBS=$(JOBS) processes)"
 	@echo "make coverage  which branches the tests see, by room (half an hour)"
 	@echo "make paper     the manuscript as PDF, from the studies' outputs"
@@ -80,6 +80,7 @@ format: $(STAMP)
 
 bench: $(STAMP) paper/studies/benchmark.py
 	$(ONE_THREAD) $(BIN)/python paper/studies/benchmark.py
+	$(ONE_THREAD) $(BIN)/python paper/studies/benchmark_commands.py $(if $(BEFORE),--before '$(BEFORE)')
 
 study: $(STAMP) paper/studies/run_all.py
 	$(ONE_THREAD) $(BIN)/python paper/studies/run_all.py --jobs $(JOBS)

@@ -517,12 +517,12 @@ def table(rows: list[Row]) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def show(rows: list[Row]) -> None:
+def show(rows: list[Row], title: str = "at the paper's size, CPU time on one core") -> None:
     """Print the table."""
     from rich.console import Console
     from rich.table import Table
 
-    printed = Table(title="bayes_sensor at the paper's size, CPU time on one core")
+    printed = Table(title=f"bayes_sensor {title}")
     for column in ("", "median", "min .. max", "unit", "goal", "verdict"):
         printed.add_column(column, justify="left" if column in ("", "verdict") else "right")
     for r in rows:
