@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from bayes_sensor.analysis.job import STAGES, Job
@@ -10,22 +13,19 @@ from bayes_sensor.analysis.job_warnings import decisive
 from bayes_sensor.cli.terminal import say
 from bayes_sensor.io.results import Results
 
-EXPECTED = {
-    "fit": (2.5, 0.6),
-    "fast posterior": (0.5, 0.1),
-    "posterior": (4.0, 1.0),
-    "bounds": (1.0, 0.6),
-    "gap": (1.5, 0.6),
-    "report": (3.0, 0.1),
-}
-"""processor seconds of a stage with compiled code in place, roughly: for a campaign, and more for
-each of its experiments (from campaigns of three and seven); a busy machine takes longer"""
+
+@cache
+def _expected() -> dict[str, dict[str, float]]:
+    # processor seconds of a stage with compiled code in place; a busy machine takes longer
+    text = files("bayes_sensor.cli").joinpath("stage_seconds.json").read_text(encoding="utf-8")
+    found: dict[str, dict[str, float]] = json.loads(text)
+    return found
 
 
 def expected_seconds(stage: str, n_experiments: int) -> float:
-    """About how long a stage takes, in s."""
-    base, more = EXPECTED[stage]
-    return base + more * n_experiments
+    """About how long a stage takes, in s, from runs of ``make bench``."""
+    of_stage = _expected()[stage]
+    return max(of_stage["s"] + of_stage["s_per_experiment"] * n_experiments, 0.0)
 
 
 class StageLines:

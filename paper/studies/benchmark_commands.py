@@ -3,14 +3,15 @@
 Every command is run in turn within a round, and beside it a fixed job of numpy: the ratio to that
 job can be compared with a later run on another machine.  Processor seconds count the command and
 all processes that it started; wall seconds stand beside them where the goal is about waiting, and
-want a machine of one's own.  ``--before DIR`` takes turns with another checkout of this project,
-run by the same Python; what that one does not know is left out of its rows.  Writes
-paper/tables/benchmark_commands.csv.
+want a machine of one's own.  What ``analyze`` says that a stage will take is measured here, too.
+``--before DIR`` takes turns with another checkout of this project, run by the same Python; what
+that one does not know is left out of its rows.  Writes paper/tables/benchmark_commands.csv.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
@@ -26,7 +27,10 @@ import numpy as np
 import pandas as pd
 from benchmark import CAMPAIGN, ROOT, Row, show, table
 
+from bayes_sensor.analysis.job import STAGES
+
 TABLE = ROOT / "paper" / "tables" / "benchmark_commands.csv"
+EXPECTED = ROOT / "bayes_sensor" / "cli" / "stage_seconds.json"
 WITHHELD = ROOT / "data" / "withheld" / "campaign.toml"
 FLEET_SETTINGS = """\
 [fit]
@@ -229,6 +233,35 @@ def warm(folder: Path, n: int, before: Path | None) -> list[Row]:
     ]  # fmt: skip
 
 
+def expected_stages(folder: Path) -> dict[str, dict[str, float]]:
+    """Processor seconds of each stage of ``analyze``: of any campaign, and for each experiment.
+
+    From the small and the bundled campaign.  Stages are timed by the clock; the share of a
+    processor that the run had is that of the whole run.
+    """
+    taken: list[dict[str, float]] = []
+    campaigns = {3: folder / "small" / "campaign.toml", 7: CAMPAIGN}
+    for campaign in campaigns.values():
+        out = folder / "stages"
+        shutil.rmtree(out, ignore_errors=True)
+        spent = run(("analyze", str(campaign), "--out", str(out), "--jobs", "1"))
+        steps = json.loads((out / "run.json").read_text())["commands"]["analyze"]["seconds"]
+        steps["report"] = spent.wall - sum(steps.values())
+        taken.append(
+            {
+                stage: sum(steps.get(step, 0.0) for step in names) * spent.processor / spent.wall
+                for stage, names in STAGES.items()
+            }
+        )
+    few, many = campaigns
+    found = {}
+    for stage in STAGES:
+        small, large = (each[stage] for each in taken)
+        more = max(large - small, 0.0) / (many - few)
+        found[stage] = {"s": round(small - few * more, 1), "s_per_experiment": round(more, 2)}
+    return found
+
+
 def compiling(folder: Path) -> list[Row]:
     """A fresh machine: the whole analysis with nothing compiled, less the same compiled."""
     cache = folder / "cache"
@@ -283,12 +316,18 @@ def main() -> None:
     parser.add_argument("--fleet", type=int, default=1000, help="campaigns of the fleet")
     parser.add_argument("--before", type=Path, help="another checkout, run in turn")
     parser.add_argument("--quick", action="store_true", help="one round, nothing written")
+    parser.add_argument("--stages", action="store_true", help="only the stages of analyze")
     asked = parser.parse_args()
     n, in_fleet = (1, 4) if asked.quick else (asked.rounds, asked.fleet)
     load = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder)
+        stages = json.dumps(expected_stages(folder), indent=1) + "\n"
+        if not asked.quick:
+            EXPECTED.write_text(stages, encoding="utf-8")
+        if asked.stages:
+            return
         rows = warm(folder, n, asked.before and asked.before.resolve())
         rows += compiling(folder)
         rows += fleets(folder, in_fleet)
