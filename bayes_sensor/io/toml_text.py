@@ -10,7 +10,7 @@ from bayes_sensor.campaign import CampaignError
 
 LARGEST = 1 << 20
 """bytes of a campaign file or of settings"""
-LONGEST_LINE = 4000
+LONGEST_LINE = 100_000
 """characters; longer lines and deeply dotted keys would slow the parser down"""
 
 

@@ -49,7 +49,7 @@ def test_the_kernel_is_the_exact_response_where_nothing_is_wrong(rig: str) -> No
     case = CASES[rig]()
     layout, vector = Layout.of(case.design), case.theta
     for k, e in enumerate(case.design):
-        kernel = ExperimentKernel(layout.rig, layout.switching[k], e)
+        kernel = ExperimentKernel(layout.rigs[k], layout.switching[k], e)
         places = layout.local[k][layout.local[k] >= 0]
         p = kernel.parameters(vector[layout.shared[k]], vector[places])
         exact = response(e.t, vector, layout, k, e.total_flow)
@@ -88,7 +88,7 @@ def test_on_the_published_rig_both_kernels_agree(settings: dict[str, float]) -> 
     vector = layout.flat(theta(campaign))
     modes = np.array([0.7, 0.3]), np.array([1.2, 0.2])
     for k, e in enumerate(campaign):
-        kernel = ExperimentKernel(layout.rig, layout.switching[k], e)
+        kernel = ExperimentKernel(layout.rigs[k], layout.switching[k], e)
         places = layout.local[k][layout.local[k] >= 0]
         p = kernel.parameters(vector[layout.shared[k]], vector[places])
         for name, value in settings.items():
