@@ -15,7 +15,6 @@ from typing import Any
 from bayes_sensor import __version__
 from bayes_sensor.campaign import Campaign
 from bayes_sensor.io.json_files import plain, sha256
-from bayes_sensor.rig.ties import tie_texts
 
 RUN_VERSION = 1
 
@@ -39,6 +38,14 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
+def _ties(campaign: Campaign) -> dict[str, Any]:
+    if not campaign.ties:
+        return {}
+    from bayes_sensor.rig.ties import tie_texts  # slow to load, and a report needs none of it
+
+    return {"ties": tie_texts(campaign.ties)}
+
+
 def campaign_record(
     campaign: Campaign, remarks: Sequence[str], rows: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
@@ -56,7 +63,7 @@ def campaign_record(
         "same_flow": campaign.same_flow,
         "stages": list(campaign.stages),
         "sensor_is": campaign.sensor_is,
-        **({"ties": tie_texts(campaign.ties)} if campaign.ties else {}),
+        **_ties(campaign),
         **({"coating": campaign.coating} if campaign.coating else {}),
         "n_samples": campaign.n_samples,
         "side_information": {

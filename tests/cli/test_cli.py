@@ -588,6 +588,7 @@ def test_a_working_directory_that_is_gone_is_named(tmp_path: Path) -> None:
 def test_other_signals_stop_a_run_as_ctrl_c_does(name: str, code: int, word: str) -> None:
     begin = (
         "import os, signal, sys, time\n"
+        f"signal.signal(signal.{name}, signal.SIG_DFL)\n"  # the tests may run under nohup
         "from bayes_sensor import cli\n"
         f"def app(**_):\n    os.kill(os.getpid(), signal.{name})\n    time.sleep(%s)\n"
         "cli.app = app\n"

@@ -253,6 +253,7 @@ def test_json_and_report_say_it() -> None:
     results = SimpleNamespace(
         fit=saved, posterior=None, bounds=None, residuals=None, predictive=None, missed=0,
         run={"commands": {}, "last": "fit"}, campaign={"experiments": ["a", "b"], "remarks": []},
+        restored=None,
     )  # fmt: skip
     shown = alerts(results)  # type: ignore[arg-type]
     assert shown[0][0] == "bad" and "times its noise" in shown[0][1]

@@ -382,7 +382,7 @@ def test_the_chain_is_drawn_for_any_rig(saved: Saved) -> None:
     valve, manifold, sensor = words(posterior=over, bounds=None)
     assert valve[1:] == sensor[1:] == ["< 0.23 s"] and manifold == ["manifold"]
     assert words(campaign={"stages": []}) == []
-    hostile = figures.chain([figures.Stage("<b>&", ("<script>",))])
+    hostile = figures.chain([figures.Box("<b>&", ("<script>",))])
     assert "<script" not in hostile and "&lt;b&gt;&amp;" in hostile
 
 
