@@ -11,10 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -207,43 +204,6 @@ def seconds(call: Callable[[], Any]) -> tuple[float, Any]:
     begin = time.process_time()
     result = call()
     return time.process_time() - begin, result
-
-
-def in_fresh_process(command: list[str]) -> tuple[float, float, float]:
-    """Wall seconds, CPU seconds and peak memory (MB) of a command; raises when it fails."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
-    begin = time.perf_counter()
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment, cwd=ROOT
-    )
-    assert process.stderr is not None  # asked for above
-    message = process.stderr.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    elapsed = time.perf_counter() - begin
-    process.returncode = os.waitstatus_to_exitcode(status)
-    process.stderr.close()
-    if process.returncode not in (0, 3):  # 3: finished with warnings
-        raise RuntimeError(f"{command}: {message.decode()[-2000:]}")
-    peak = usage.ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)
-    return elapsed, usage.ru_utime + usage.ru_stime, peak
-
-
-def cold_commands(name: str, out: str) -> list[tuple[str, list[str]]]:
-    """What a user would start: the command line, and the same by Python where there is none."""
-    main = [sys.executable, "-c", "from bayes_sensor.cli import main; main()"]
-    extra = ["--sampler", "independence"] if name == "posterior" else []
-    script = (
-        "import bayes_sensor as bs, json, sys; c = bs.read_campaign(sys.argv[1]); "
-        "r = {}; json.dumps(r.to_json(), default=str)"
-    )
-    call = {
-        "fit": "bs.fit_least_squares(c)",
-        "posterior": "bs.sample_posterior(c, sampler='independence')",
-    }[name]
-    return [
-        ("bayes-sensor", [*main, name, str(CAMPAIGN), "--out", out, *extra]),
-        ("python -c", [sys.executable, "-c", script.format(call), str(CAMPAIGN)]),
-    ]
 
 
 # --------------------------------------------------------------------------- the parts
@@ -470,36 +430,6 @@ def scaling(problem: Problem, truth: np.ndarray, posterior: Posterior, n: int) -
     ]  # fmt: skip
 
 
-def cold(n: int) -> list[Row]:
-    """Fresh processes with compiled code cached on disk."""
-    rows = []
-    goals = {"fit": 3.0, "posterior": 5.0}
-    peaks = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, goal in goals.items():
-            out = Path(folder) / name
-            for label, command in cold_commands(name, str(out)):
-                try:
-                    in_fresh_process(command)  # the first fills the caches
-                    break
-                except RuntimeError:
-                    if label == "python -c":
-                        raise
-                    print(f"'bayes-sensor {name}' does not run; using Python", file=sys.stderr)
-            spent, busy = [], []
-            for _ in range(n):
-                shutil.rmtree(out, ignore_errors=True)
-                elapsed, cpu, peak = in_fresh_process(command)
-                spent.append(elapsed)
-                busy.append(cpu)
-                peaks.append(peak)
-            what = f"fresh process, {label}: {name}" + (" (independence)" * (name == "posterior"))
-            rows.append(Row(what, "s", tuple(busy), most=goal))
-            rows.append(Row(f"{what}, wall", "s", tuple(spent), most=goal))
-    rows.append(Row("peak memory of those processes", "MB", tuple(peaks), most=600.0))
-    return rows
-
-
 # --------------------------------------------------------------------------- output
 
 
@@ -552,8 +482,6 @@ def main() -> None:
     print("one evaluation ..", file=sys.stderr, flush=True)
     rows = evaluations(problem, posterior, compressed, 3 if quick else 15)
     pints = [r.median for r in rows if r.what == "PINTS AR1LogLikelihood, numba Euler"]
-    print("fresh processes ..", file=sys.stderr, flush=True)
-    rows += cold(1 if quick else 5)
     print("posteriors ..", file=sys.stderr, flush=True)
     rows += raw_to_posterior(
         campaign, {"independence": 1} if quick else {"independence": 7, "hmc": 3, "emcee": 3}

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,8 @@ from bayes_sensor.analysis.job import STAGES
 
 TABLE = ROOT / "paper" / "tables" / "benchmark_commands.csv"
 EXPECTED = ROOT / "bayes_sensor" / "cli" / "stage_seconds.json"
+BUNDLED, SMALL = "analyze, bundled", "analyze, 3 experiments of 35 s at 100 Hz"
+REPORT = "report, bundled"
 WITHHELD = ROOT / "data" / "withheld" / "campaign.toml"
 FLEET_SETTINGS = """\
 [fit]
@@ -128,13 +130,15 @@ def jobs(folder: Path) -> list[Job]:
     cause, analysed = str(WITHHELD), str(folder / "analysed")
     out, one = ("--out", "{out}"), ("--jobs", "1")
     return [
-        Job("analyze, bundled", ("analyze", bundled, *out, *one), 20.0, first=6.0),
+        Job(BUNDLED, ("analyze", bundled, *out, *one), 20.0, first=6.0),
         Job("analyze --jobs 2, bundled", ("analyze", bundled, *out, "--jobs", "2"), wall=12.0),
         Job("analyze --quick, bundled", ("analyze", bundled, *out, *one, "--quick"), first=6.0),
-        Job("analyze, 3 experiments of 35 s at 100 Hz", ("analyze", small, *out, *one), 8.0,
+        Job(SMALL, ("analyze", small, *out, *one), 8.0,
             first=6.0),
-        Job("report, bundled", ("report", analysed, *one), 4.0),
+        Job(REPORT, ("report", analysed, *one), 4.0),
         Job("fit, bundled", ("fit", bundled, *out), 1.0),
+        Job("posterior by independence, bundled",
+            ("posterior", bundled, *out, "--sampler", "independence")),
         Job("posterior by emcee, bundled", ("posterior", bundled, *out), 5.0),
         Job("bounds, bundled", ("bounds", bundled, *out), 5.0),
         Job("gap, bundled, nothing missing", ("gap", bundled, *out), 4.0),
@@ -198,8 +202,12 @@ def rows_of(job: Job, spent: list[Spent], numpy_s: float, label: str) -> list[Ro
     return rows
 
 
-def warm(folder: Path, n: int, before: Path | None) -> list[Row]:
-    """Every job, compiled code cached; with ``before`` in turn with that checkout."""
+def warm(folder: Path, n: int, before: Path | None, write: bool) -> list[Row]:
+    """Every job, compiled code cached; with ``before`` in turn with that checkout.
+
+    ``write`` the expected times of stages.
+    """
+    stages: dict[str, dict[str, float]] = {}
     roots = {"": ROOT} | ({", before": before} if before else {})
     listed = jobs(folder)
     taken: dict[tuple[str, str], list[Spent]] = {}
@@ -220,7 +228,11 @@ def warm(folder: Path, n: int, before: Path | None) -> list[Row]:
                     continue
                 if i or n == 0:
                     taken.setdefault((job.what, label), []).append(spent)
+                if job.what in (SMALL, BUNDLED) and not label:
+                    stages[job.what] = stages_of(out, spent)
                 print(f"{job.what}{label}: {spent.processor:.1f} s", file=sys.stderr, flush=True)
+    if write:
+        write_expected(stages[SMALL], stages[BUNDLED], taken[REPORT, ""][-1].processor)
     median = float(np.median(numpy_s))
     rows = [
         row for job in listed for label in roots if (job.what, label) in taken
@@ -233,33 +245,32 @@ def warm(folder: Path, n: int, before: Path | None) -> list[Row]:
     ]  # fmt: skip
 
 
-def expected_stages(folder: Path) -> dict[str, dict[str, float]]:
-    """Processor seconds of each stage of ``analyze``: of any campaign, and for each experiment.
+def stages_of(out: Path, spent: Spent) -> dict[str, float]:
+    """Processor seconds of each stage of an analysis that wrote ``out``.
 
-    From the small and the bundled campaign.  Stages are timed by the clock; the share of a
-    processor that the run had is that of the whole run.
+    Stages are timed by the clock; the share of a processor that each had is that of the whole run.
     """
-    taken: list[dict[str, float]] = []
-    campaigns = {3: folder / "small" / "campaign.toml", 7: CAMPAIGN}
-    for campaign in campaigns.values():
-        out = folder / "stages"
-        shutil.rmtree(out, ignore_errors=True)
-        spent = run(("analyze", str(campaign), "--out", str(out), "--jobs", "1"))
-        steps = json.loads((out / "run.json").read_text())["commands"]["analyze"]["seconds"]
-        steps["report"] = spent.wall - sum(steps.values())
-        taken.append(
-            {
-                stage: sum(steps.get(step, 0.0) for step in names) * spent.processor / spent.wall
-                for stage, names in STAGES.items()
-            }
-        )
-    few, many = campaigns
+    steps = json.loads((out / "run.json").read_text())["commands"]["analyze"]["seconds"]
+    share = spent.processor / spent.wall
+    return {
+        stage: share * sum(steps.get(step, 0.0) for step in names)
+        for stage, names in STAGES.items()
+    }
+
+
+def write_expected(small: Mapping[str, float], bundled: Mapping[str, float], report: float) -> None:
+    """What ``analyze`` tells of its stages: seconds of any campaign, and of each experiment.
+
+    ``report``: s, of that command; its figures are as many for every campaign.
+    """
+    few, many = 3, 7
     found = {}
     for stage in STAGES:
-        small, large = (each[stage] for each in taken)
-        more = max(large - small, 0.0) / (many - few)
-        found[stage] = {"s": round(small - few * more, 1), "s_per_experiment": round(more, 2)}
-    return found
+        more = max(bundled[stage] - small[stage], 0.0) / (many - few)
+        least = max(small[stage] - few * more, 0.0)
+        found[stage] = {"s": round(least, 1), "s_per_experiment": round(more, 2)}
+    found["report"] = {"s": round(report, 1), "s_per_experiment": 0.0}
+    EXPECTED.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 def compiling(folder: Path) -> list[Row]:
@@ -316,19 +327,13 @@ def main() -> None:
     parser.add_argument("--fleet", type=int, default=1000, help="campaigns of the fleet")
     parser.add_argument("--before", type=Path, help="another checkout, run in turn")
     parser.add_argument("--quick", action="store_true", help="one round, nothing written")
-    parser.add_argument("--stages", action="store_true", help="only the stages of analyze")
     asked = parser.parse_args()
     n, in_fleet = (1, 4) if asked.quick else (asked.rounds, asked.fleet)
     load = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder)
-        stages = json.dumps(expected_stages(folder), indent=1) + "\n"
-        if not asked.quick:
-            EXPECTED.write_text(stages, encoding="utf-8")
-        if asked.stages:
-            return
-        rows = warm(folder, n, asked.before and asked.before.resolve())
+        rows = warm(folder, n, asked.before and asked.before.resolve(), not asked.quick)
         rows += compiling(folder)
         rows += fleets(folder, in_fleet)
     load.append(os.getloadavg()[0])
