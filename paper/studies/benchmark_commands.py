@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from benchmark import CAMPAIGN, ROOT, Row, show, table
+from study_fleet import SETTINGS
 
 from bayes_sensor.analysis.job import STAGES
 
@@ -34,16 +35,6 @@ EXPECTED = ROOT / "bayes_sensor" / "cli" / "stage_seconds.json"
 BUNDLED, SMALL = "analyze, bundled", "analyze, 3 experiments of 35 s at 100 Hz"
 REPORT = "report, bundled"
 WITHHELD = ROOT / "data" / "withheld" / "campaign.toml"
-FLEET_SETTINGS = """\
-[fit]
-swarms = 1
-[posterior]
-sampler = "independence"
-[bounds]
-methods = ["crlb_iid", "crlb_ar1", "sandwich_ar1", "profile", "posterior"]
-step_study = false
-explain = false
-"""
 TRAIN = """\
 title = "200 pulses in one record"
 [rig]
@@ -288,7 +279,7 @@ def compiling(folder: Path) -> list[Row]:
 def fleets(folder: Path, n: int) -> list[Row]:
     """Campaigns an hour of many small ones, on two processes and on a Dask cluster."""
     listing, settings = folder / "list.txt", folder / "settings.toml"
-    settings.write_text(FLEET_SETTINGS)
+    settings.write_text(SETTINGS)
     short = ("--experiments", "1,4,7", "--duration", "15 s", "--interval", "10 ms")
     places = []
     for k in range(n):
