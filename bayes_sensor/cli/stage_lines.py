@@ -25,7 +25,7 @@ def _expected() -> dict[str, dict[str, float]]:
 def expected_seconds(stage: str, n_experiments: int) -> float:
     """About how long a stage takes, in s, from runs of ``make bench``."""
     of_stage = _expected()[stage]
-    return max(of_stage["s"] + of_stage["s_per_experiment"] * n_experiments, 0.0)
+    return of_stage["s"] + of_stage["s_per_experiment"] * n_experiments
 
 
 class StageLines:

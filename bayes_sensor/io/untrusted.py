@@ -33,8 +33,7 @@ KINDS = "biufcU"
 MADE_AGAIN = "mend it, or run the command that made it again in a new folder"
 UNREADABLE = (
     OSError, ValueError, KeyError, IndexError, EOFError, AttributeError, TypeError, SyntaxError,
-    NotImplementedError, OverflowError, RecursionError, MemoryError, RuntimeError, zlib.error,
-    lzma.LZMAError, zipfile.BadZipFile,
+    OverflowError, MemoryError, RuntimeError, zlib.error, lzma.LZMAError, zipfile.BadZipFile,
 )  # fmt: skip
 """what the readers of NumPy, zip and HDF5 raise on damaged bytes"""
 
