@@ -28,11 +28,20 @@ def main_parameters(names: Sequence[str]) -> list[str]:
 def _chosen(
     names: Sequence[str], chains: FloatArray, unit: str
 ) -> tuple[list[tuple[str, str, float]], FloatArray]:
-    """Words and scaled chains (n_chain, n_draw, n) of the main parameters that vary."""
-    kept = [n for n in main_parameters(names) if np.ptp(chains[:, :, names.index(n)]) > 0]
+    """Words and scaled chains (n_chain, n_draw, n) of the main parameters that vary; of those that
+    are tied the first alone, as the others are multiples of it."""
+    kept: list[str] = []
+    for name in main_parameters(names):
+        values, others = chains[:, :, names.index(name)], [names.index(other) for other in kept]
+        if np.ptp(values) > 0 and not any(_in_proportion(values, chains[:, :, i]) for i in others):
+            kept.append(name)
     words = [parameter_words(n, unit) for n in kept]
     columns = [chains[:, :, names.index(n)] * w[2] for n, w in zip(kept, words, strict=True)]
     return words, np.stack(columns, axis=-1)
+
+
+def _in_proportion(values: FloatArray, others: FloatArray) -> bool:
+    return bool(np.allclose(values * others.flat[0], others * values.flat[0], rtol=1e-9, atol=0.0))
 
 
 def named_chains(posterior: Any) -> tuple[list[str], FloatArray]:

@@ -81,7 +81,8 @@ class Posterior(Draws):
     def rows(self) -> dict[str, dict[str, float]]:
         """Mean, sd, percentiles and diagnostics of every varying parameter, by flat name.
 
-        If the order of lags is undecided, the lags are listed in addition to tau and tau_v.
+        If the order of lags is undecided, the lags are listed in addition to tau and tau_v.  A
+        tied parameter has the diagnostics of the one that gives it.
         """
         found = {}
         # where names are not settled the diagnostics are those of the worst of the lags
@@ -89,9 +90,11 @@ class Posterior(Draws):
         of_lags = sorted(commuting.places)
         one = len(self.problem.assignments) == 1
         labels = {name: i for i, name in enumerate(self.names)}
-        for name in self.layout.shared_names:
-            settled = one or name not in commuting.names
-            found[name] = self._row(self.of(name), [labels[name]] if settled else of_lags)
+        given = {name: (name, 1.0) for name in self.layout.shared_names} | self.layout.tied
+        for name, (source, factor) in given.items():
+            settled = one or source not in commuting.names
+            places = [labels[source]] if settled else of_lags
+            found[name] = self._row(factor * self.of(source), places)
         if self.naming.order == "undecided":
             for name in LAG_NAMES[self.naming.n_lags]:
                 found[name] = self._row(self.of(name), of_lags)

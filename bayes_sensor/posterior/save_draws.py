@@ -67,7 +67,7 @@ def _contents(posterior: Draws) -> tuple[dict[str, Any], dict[str, Any]]:
         variables[variable] = (dims, draws, {"units": unit, "parameter": flat})
 
     lag_names = LAG_NAMES.get(posterior.naming.n_lags, ())
-    alone = [name for name in layout.shared_names if "[" not in name]
+    alone = [name for name in (*layout.shared_names, *layout.tied) if "[" not in name]
     if posterior.naming.order == "undecided":
         alone += lag_names
     for flat in alone:

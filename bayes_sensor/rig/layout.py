@@ -390,14 +390,22 @@ class Layout:
                 )
         return vector
 
-    def tied_values(self, theta: FloatArray) -> dict[str, float]:
-        """By flat name, the lags and volumes that have no place of their own in ``theta``
-        (n_theta,)."""
+    @cached_property
+    def tied(self) -> dict[str, tuple[str, float]]:
+        """By the name of every lag and volume that has no place of its own in theta: the parameter
+        that gives it, and the factor; sensors that all have one lag are not among them."""
         common = self.value_names[: len(self.sensor_names)] if self.one_sensor else ()
         return {
-            name: float(theta[self.shared_names.index(source)]) * factor
+            name: (source, factor)
             for name, (source, factor) in self.sources.items()
             if source != name and name not in common
+        }
+
+    def tied_values(self, theta: FloatArray) -> dict[str, float]:
+        """By flat name, the values of :attr:`tied` at ``theta`` (n_theta,)."""
+        return {
+            name: float(theta[self.shared_names.index(source)]) * factor
+            for name, (source, factor) in self.tied.items()
         }
 
     def nested(self, theta: Theta, noise: bool = True) -> dict[str, Any]:

@@ -138,3 +138,8 @@ def test_draws_of_what_is_tied_are_saved_with_the_others(tmp_path: Path) -> None
     names, chains = load_chains(tmp_path / "posterior.nc")
     saved = chains[:, :, names.index("tau_s[B]")].ravel()
     np.testing.assert_allclose(saved, posterior.of("tau_s[B]"))
+    rows = posterior.summary()
+    for key in ("mean", "sd", "q2.5", "q97.5"):
+        assert rows.loc["tau_s[B]", key] == pytest.approx(2.5 * rows.loc["tau_s[A]", key])
+    assert rows.loc["tau_s[B]", "r_hat"] == rows.loc["tau_s[A]", "r_hat"]
+    assert set(rows.index) == {name for name in names if not name.startswith("lag_")}
