@@ -31,7 +31,7 @@ def run_bounds(job: Job) -> None:
         )
         record = compared.to_json()
         record["naive"] = naive_bounds(job)
-        record["step_study"] = _study(job) if asked.step_study else None
+        record["step_study"] = _study(job) if asked.step_study and job.of_published_sensor else None
         record["what_makes_tau_hard"] = record["what_would_help"] = None
         record["not_explained"] = None
         theta = _named_theta(job) if asked.explain else None
@@ -108,8 +108,6 @@ def naive_bounds(job: Job) -> dict[str, Any]:
 def _study(job: Job) -> list[dict[str, Any]] | None:
     from bayes_sensor.bounds import step_study
 
-    if not job.problem.layout.is_published:
-        return None
     try:
         table = step_study(job.problem, reference_theta(job), float(job.fit.rms))
     except CampaignError:

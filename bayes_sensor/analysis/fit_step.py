@@ -1,4 +1,4 @@
-"""The step of the fit, and that of its residuals."""
+"""The step of the fit, and those of the number of lags and of the residuals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bayes_sensor.io.results import StagingFolder
 
 def run_fit(job: Job) -> None:
     from bayes_sensor.analysis.overrides import fit_bounds
-    from bayes_sensor.fit import count_lags, fit_least_squares
+    from bayes_sensor.fit import fit_least_squares
 
     asked = job.overrides.fit
     with job.timed("fit") as tell:
@@ -25,9 +25,13 @@ def run_fit(job: Job) -> None:
             de=asked.differential_evolution,
             progress=tell,
         )
-        if "fit" in SAVES[job.command]:
-            tell(0.95, "number of lags")
-            job.fit = replace(job.fit, n_lags=count_lags(job.problem, job.fit))
+
+
+def run_lags(job: Job) -> None:
+    from bayes_sensor.fit import count_lags
+
+    with job.timed("lags"):
+        job.fit = replace(job.fit, n_lags=count_lags(job.problem, job.fit))
 
 
 def run_residuals(job: Job) -> None:
@@ -42,16 +46,21 @@ def save_fit(job: Job, stage: StagingFolder) -> None:
     from bayes_sensor.fit.samples import make_samples, save_samples
     from bayes_sensor.fit.traces import make_traces, save_traces
 
+    _put_fit(job, stage)
+    save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
+    save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
+
+
+def save_residuals(job: Job, stage: StagingFolder) -> None:
+    """Write residuals.json, and fit.json anew, with what the checks say of the fit."""
+    _put_fit(job, stage)
+    stage.json("residuals.json", job.residuals.to_json())
+    put_record(stage, "residuals", job.residuals, job.problem.campaign)
+
+
+def _put_fit(job: Job, stage: StagingFolder) -> None:
     record = job.fit.to_json()
     if job.residuals is not None and not job.residuals.adequate:
         record["warnings"] = [*record["warnings"], job.residuals.doubt]
     stage.json("fit.json", record)
-    save_traces(stage.path("traces.npz"), make_traces(job.problem, job.fit))
-    save_samples(stage.path("samples.npz"), make_samples(job.problem, job.fit))
     put_record(stage, "fit", job.fit, job.problem.campaign)
-
-
-def save_residuals(job: Job, stage: StagingFolder) -> None:
-    """Write residuals.json."""
-    stage.json("residuals.json", job.residuals.to_json())
-    put_record(stage, "residuals", job.residuals, job.problem.campaign)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,9 @@ CHECKPOINT = "checkpoint"
 STEPS: dict[str, tuple[str, ...]] = {
     "analyze": (
         "fit",
-        "residuals",
         "fast",
+        "lags",
+        "residuals",
         "posterior",
         "predictive",
         "bounds",
@@ -34,14 +36,14 @@ STEPS: dict[str, tuple[str, ...]] = {
         "gap",
         "report",
     ),
-    "fit": ("fit", "residuals"),
+    "fit": ("fit", "lags", "residuals"),
     "posterior": ("fit", "posterior", "predictive"),
     "bounds": ("fit", "posterior", "bounds"),
     "delays": ("fit", "delays"),
     "gap": ("fit", "gap"),
 }
 SAVES: dict[str, tuple[str, ...]] = {
-    "analyze": ("fit", "residuals", "fast", "posterior", "bounds", "delays", "gap", "report"),
+    "analyze": ("fit", "fast", "residuals", "posterior", "bounds", "delays", "gap", "report"),
     "fit": ("fit", "residuals"),
     "posterior": ("posterior",),
     "bounds": ("bounds",),
@@ -49,15 +51,16 @@ SAVES: dict[str, tuple[str, ...]] = {
     "gap": ("gap",),
 }
 STAGES: dict[str, tuple[str, ...]] = {
-    "fit": ("fit", "residuals"),
+    "fit": ("fit",),
     "fast posterior": ("fast",),
+    "checks": ("lags", "residuals"),
     "posterior": ("posterior", "predictive"),
     "bounds": ("bounds", "delays"),
     "gap": ("gap",),
     "report": ("report",),
 }
 """of ``analyze``: the steps after which something is said and written"""
-QUICK = ("fit", "fast posterior", "report")
+QUICK = ("fit", "fast posterior", "checks", "report")
 """stages of a quick analysis"""
 
 
@@ -80,7 +83,8 @@ class Job:
     resume: bool
     results: Results | None
     """where the results go; None: nowhere"""
-    basis: str
+    basis: str = ""
+    """hash of what is computed: campaign and settings; empty: not known yet"""
     seconds: dict[str, float] = field(default_factory=dict)
     fit: Any = None
     residuals: Any = None
@@ -111,6 +115,22 @@ class Job:
     """sentences, what concerns the answer first"""
     muted: Callable[[], AbstractContextManager[None]] = nullcontext
     """keeps what samplers print from the screen"""
+
+    @cached_property
+    def campaign_json(self) -> dict[str, Any]:
+        """The contents of ``campaign.json``."""
+        from bayes_sensor.analysis.read_input import read_input
+        from bayes_sensor.io.run_record import campaign_record
+
+        campaign, table, remarks = read_input(self.problem.campaign)
+        return campaign_record(campaign, remarks, table)
+
+    @property
+    def of_published_sensor(self) -> bool:
+        """Whether to compute what concerns the published sensor: as the campaign's coating says, or
+        where the comparison is asked for."""
+        asked = bool(self.problem.campaign.coating) or self.compare_published
+        return asked and bool(self.problem.layout.is_published)
 
     @property
     def stages(self) -> dict[str, tuple[str, ...]]:

@@ -31,7 +31,7 @@
     [bounds]
     methods = ["crlb_iid", "profile", "posterior"]
     resamples = 400
-    step_study = true
+    step_study = true                  # where the sensor is the published one
     explain = true                     # what makes tau hard, and what would help
 """
 

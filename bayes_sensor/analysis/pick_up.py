@@ -56,7 +56,7 @@ def _is_same(job: Job, entry: Mapping[str, Any]) -> bool:
 def _take_over(job: Job, name: str, digest: str) -> bool:
     """Put the saved result of a step into ``job``; whether there is one."""
     assert job.results is not None
-    if name == "fast":
+    if name in ("fast", "lags"):  # the fit's record has the number of lags
         return True
     found = read_record(job.results.folder, name, job.problem.campaign, digest)
     if found is None:

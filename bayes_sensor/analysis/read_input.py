@@ -16,7 +16,8 @@ def read_input(given: Path | Campaign) -> tuple[Campaign, Any, tuple[str, ...]]:
     from bayes_sensor.io.readers import read_campaign
 
     campaign = given if isinstance(given, Campaign) else read_campaign(given)
-    return campaign, campaign_rows(campaign), campaign_remarks(campaign)
+    remarks = campaign_remarks(campaign)
+    return campaign, campaign_rows(campaign, remarks), remarks
 
 
 def check_methods(methods: Sequence[str] | None, label: str) -> None:

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.bounds_step import run_bounds, save_bounds
 from bayes_sensor.analysis.delays_step import run_delays, save_delays
-from bayes_sensor.analysis.fit_step import run_fit, run_residuals, save_fit, save_residuals
+from bayes_sensor.analysis.fit_step import (
+    run_fit,
+    run_lags,
+    run_residuals,
+    save_fit,
+    save_residuals,
+)
 from bayes_sensor.analysis.gap_step import begin_gap, run_gap, save_gap
 from bayes_sensor.analysis.job import CHECKPOINT, SAVES, Bar, Job, no_bar
 from bayes_sensor.analysis.job_warnings import warnings_of
@@ -29,7 +35,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results, StagingFolder
-from bayes_sensor.io.run_record import campaign_record, digest
+from bayes_sensor.io.run_record import digest
 
 if TYPE_CHECKING:
     from bayes_sensor.report import Choice
@@ -37,8 +43,9 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 TAKE: dict[str, Callable[[Job], None]] = {
     "fit": run_fit,
-    "residuals": run_residuals,
     "fast": run_fast,
+    "lags": run_lags,
+    "residuals": run_residuals,
     "posterior": run_posterior,
     "predictive": run_predictive,
     "bounds": run_bounds,
@@ -133,10 +140,11 @@ def run_steps(
         )
     job = Job(
         command, problem, overrides, label, seed, jobs, quiet, resume, results,
-        digest(_campaign_json(campaign), overrides.basis()), {"read": read_seconds},
+        seconds={"read": read_seconds},
         options=options or {}, quick=quick, bar=bar, muted=muted,
         compare_published=report is not None and report.compare_published,
     )  # fmt: skip
+    job.basis = digest(job.campaign_json, overrides.basis())
     files = _files(campaign, config)
     if results is None:
         begun(job)
@@ -187,7 +195,7 @@ def write_results(
     results to write, all where there are none.
     """
     campaign, command = job.problem.campaign, job.command
-    record = _campaign_json(campaign)
+    record = job.campaign_json
     # the fast posterior is the posterior until there is another
     chosen = {
         "posterior" if name == "fast" else name: None
@@ -224,11 +232,6 @@ def put_last(job: Job, results: Results, report: Choice | None = None) -> None:
     """Make the report; all else is in place by now, whatever becomes of it."""
     with job.timed("report") as tell, last_step(results):
         put_report(results, tell, report)
-
-
-def _campaign_json(campaign: Campaign) -> dict[str, Any]:
-    _, table, remarks = read_input(campaign)
-    return campaign_record(campaign, remarks, table)
 
 
 def _take(job: Job, names: Sequence[str]) -> None:

@@ -61,8 +61,15 @@ def fit_line(job: Job) -> str:
     """The estimates, without intervals."""
     from bayes_sensor.cli.summary_lines import fit_words
 
-    lags = job.fit.n_lags
-    return fit_words(job.fit) + ("" if lags is None else f"; {lags.sentence}")
+    return fit_words(job.fit)
+
+
+def checks_line(job: Job) -> str:
+    """Whether the noise law holds, and how many lags the data support."""
+    found = [job.residuals.verdict]
+    if job.fit.n_lags is not None:
+        found.append(job.fit.n_lags.sentence)
+    return "; ".join(sentence.rstrip(".") for sentence in found)
 
 
 def posterior_line(job: Job) -> str:
@@ -100,6 +107,7 @@ def gap_line(job: Job) -> str:
 _LINES: dict[str, Callable[[Job, Results], Any]] = {
     "fit": lambda job, results: fit_line(job),
     "fast posterior": lambda job, results: posterior_line(job),
+    "checks": lambda job, results: checks_line(job),
     "posterior": lambda job, results: posterior_line(job),
     "bounds": lambda job, results: bounds_line(job),
     "gap": lambda job, results: gap_line(job),

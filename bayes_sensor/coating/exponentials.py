@@ -14,6 +14,9 @@ from scipy.special import j0, j1, jn_zeros
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.coating.layers import LEVEL_63, Coating
 
+MOST_WAVES = 512
+"""most modes across the coating"""
+
 
 @dataclass(frozen=True, eq=False)
 class ReducedResponse:
@@ -168,6 +171,12 @@ def _interpolation_row(nodes: FloatArray, barycentric: FloatArray, x: float) -> 
     return row
 
 
+@lru_cache(maxsize=1)
+def _bessel_zeros() -> FloatArray:
+    """(MOST_WAVES,) zeros of J0; finding them takes as long as a response."""
+    return np.asarray(jn_zeros(0, MOST_WAVES), dtype=np.float64)
+
+
 def _lateral_modes(coating: Coating) -> tuple[FloatArray, FloatArray]:
     """Wave numbers beta (1/m) across the coating and the weight of each at the probe."""
     h1, h2 = coating.thickness_zif8, coating.thickness_pdms
@@ -182,14 +191,14 @@ def _lateral_modes(coating: Coating) -> tuple[FloatArray, FloatArray]:
     )
     shortest = min(side, math.sqrt(coating.d_zif8 * delay))
     waves = coating.outer_radius * max(16 / (math.pi * shortest), 25 / side)
-    n = int(min(max(math.ceil(waves), 32), 512))
+    n = int(min(max(math.ceil(waves), 32), MOST_WAVES))
     damping = np.exp(-36 * (np.arange(n) / n) ** 8)
     x = coating.ring_radius / coating.outer_radius
     if coating.geometry == "planar":
         zeros = (np.arange(n) + 0.5) * math.pi
         across = 2 * np.sin(zeros) / zeros * np.cos(zeros * x)
     else:
-        zeros = jn_zeros(0, n)
+        zeros = _bessel_zeros()[:n]
         across = 2 / (zeros * j1(zeros)) * j0(zeros * x)
     beta = np.asarray(zeros / coating.outer_radius, dtype=np.float64)
     return beta, across * damping

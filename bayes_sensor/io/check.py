@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
@@ -59,9 +60,12 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
     return pd.DataFrame(campaign_rows(campaign))
 
 
-def campaign_rows(campaign: Campaign) -> list[dict[str, Any]]:
-    """The rows of :func:`check_campaign`'s table, one mapping per experiment."""
-    remarks = campaign_remarks(campaign)
+def campaign_rows(campaign: Campaign, remarks: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """The rows of :func:`check_campaign`'s table, one mapping per experiment.
+
+    ``remarks``: those of :func:`campaign_remarks`, where they are known.
+    """
+    remarks = campaign_remarks(campaign) if remarks is None else remarks
     rows = []
     for experiment in campaign:
         baseline, plateau = levels(experiment)
