@@ -488,6 +488,6 @@ def test_diagnose_gap_explains_a_name_that_is_nearly_right(campaign: Path) -> No
 
 
 def test_the_docs_list_every_effect_with_its_family() -> None:
-    page = (ROOT / "docs" / "read_a_gap_report.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "gap_catalogue.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| [^|]+ \| ([\w ]+) \|$", page, re.MULTILINE))
     assert rows == {name: effect.family for name, effect in CATALOGUE.items()}

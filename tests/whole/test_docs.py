@@ -363,7 +363,7 @@ def test_the_readme_says_how_often_the_diagnosis_is_right() -> None:
 
 @pytest.mark.tables
 def test_the_page_on_the_gap_says_what_became_of_real_measurements() -> None:
-    text = TEXT["read_a_gap_report.md"]
+    text = TEXT["gap_catalogue.md"]
     steps, matrix = rows("real_pid")
     assert {steps["verdict"], steps["verdict_with"]} == {"unlisted"}
     assert {matrix["verdict"], matrix["verdict_with"]} == {"unlisted"}
