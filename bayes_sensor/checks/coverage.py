@@ -254,28 +254,6 @@ def coverage_of_methods(
     return pd.DataFrame(rows)
 
 
-def markdown_table(
-    table: pd.DataFrame, parameters: Sequence[str] = ("tau_s", "tau_v_s", "V_mL")
-) -> str:
-    """Coverage of the 95 % intervals in Markdown: a row a method, a column a setting."""
-    some = table[table["level"] == "95"].set_index(["method", "setting", "parameter"])["coverage"]
-    settings = list(dict.fromkeys(table["setting"]))
-    methods = list(dict.fromkeys(some.index.get_level_values("method")))
-    kinds = ", ".join(name.rpartition("_")[0] for name in parameters)
-    count = f"{int(table['campaigns'].min())} campaigns"
-    lines = [f"| {count}: {kinds} | {' | '.join(settings)} |", "|---" * (len(settings) + 1) + "|"]
-    for method in methods:
-        cells = [
-            ", ".join(
-                f"{some[method, setting, name]:.2f}" if (method, setting, name) in some else "-"
-                for name in parameters
-            )
-            for setting in settings
-        ]
-        lines.append(f"| `{method}` | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
 def coverage_limits(inside: np.ndarray, given: np.ndarray) -> tuple[float, float]:
     """95 % limits of the coverage from booleans (n_campaigns, n_pooled)."""
     n, covered = float(given.sum()), float(inside.sum())
