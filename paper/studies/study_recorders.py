@@ -23,6 +23,7 @@ from real_files import write_table
 
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.campaign import CampaignError, FloatArray
+from bayes_sensor.diagnosis import diagnose_gap
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.posterior import Settings, sample_posterior
@@ -160,6 +161,11 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
         said, intervals = f"{posterior.sampler}, {posterior.convergence}", posterior.rows
     except CampaignError as error:
         said, intervals = str(error), {}
+    try:
+        gap = diagnose_gap(campaign, fit, seed=SEED, bootstrap=0, hidden=False, separate=False)
+        wide = gap.tau_with_discrepancy_s or {}
+    except CampaignError:
+        wide = {}
     bound = compare_bounds(campaign, fit, methods=["sandwich"])["sandwich"]
     several = len(record.sensors) > 1
     samples = [record.samples(folder, sensor) for sensor in record.sensors]
@@ -170,6 +176,8 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
         row = intervals.get(f"tau_s{ending}", {})
         beside = bound.interval(f"tau_s{ending}")
         low, high = row.get("q2.5", np.nan), row.get("q97.5", np.nan)
+        of_first = wide if k == 0 else {}  # the diagnosis speaks of the first sensor's lag
+        wide_low, wide_high = of_first.get("q2.5", np.nan), of_first.get("q97.5", np.nan)
         rows.append({
             "record": record.name, "sensor": sensor,
             "switch_times": "shared" if several else "own", "n_samples": len(samples[k][0]),
@@ -180,6 +188,8 @@ def found(record: Record, folder: Path) -> list[dict[str, Any]]:
             "phi": intervals.get(f"phi{ending}", {}).get("q50", np.nan), "rms": rms[k],
             "sandwich_lo95_s": beside[0], "sandwich_hi95_s": beside[1],
             "sandwich_holds_scipy": int(beside[0] <= taus[k] <= beside[1]),
+            "discrepancy_lo95_s": wide_low, "discrepancy_hi95_s": wide_high,
+            "discrepancy_holds_scipy": int(wide_low <= taus[k] <= wide_high),
             "unit": record.unit, "misfit": fit.to_json()["misfit"], "said": said,
             "source": record.source,
         })  # fmt: skip
