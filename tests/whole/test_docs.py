@@ -377,6 +377,9 @@ def test_the_page_on_other_rigs_says_what_real_records_show() -> None:
     assert "wherever it could be given, it holds the independent fit" in " ".join(
         TEXT["other_rigs.md"].split()
     )
+    simulated = [row for row in rows("other_rigs") if row["method"] == "posterior"]
+    assert {row["campaigns"] for row in simulated} == {"200"}  # "Two hundred campaigns"
+    assert all(float(r["share95"]) >= 0.93 for r in simulated if r["parameter"][:3] != "phi")
     given = [row for row in rows("recorders") if row["discrepancy_lo95_s"]]
     assert len(given) > 5 and all(row["discrepancy_holds_scipy"] == "1" for row in given)
 
