@@ -30,21 +30,18 @@ def response_time_record(job: Job) -> dict[str, Any]:
     rows: list[dict[str, Any]] = [*response_time_rows(_systems(job))]
     if undecided:
         rows[:1] = [_sensor_row(each) for each in job.posterior.assignments]
-    found = None
-    wanted = job.of_published_sensor and job.command == "analyze"
-    early = wanted and job.posterior is job.fast
-    if wanted and not undecided and not early:
+    record: dict[str, Any] = {"response_times": rows, "d_zif8": None}
+    if not job.of_published_sensor or job.command != "analyze":
+        return record
+    if undecided:
+        record["d_zif8_left_out"] = WHOSE_COATING
+    elif job.posterior is job.fast:
+        record["d_zif8_left_out"] = TAKES_LONG
+    else:
         from bayes_sensor.coating import infer_d_zif8
 
-        found = infer_d_zif8(job.posterior.of("tau_s"), seed=job.seed).to_json()
-    left_out = ""
-    if wanted and undecided:
-        left_out = WHOSE_COATING
-    elif early:
-        left_out = TAKES_LONG
-    return {"response_times": rows, "d_zif8": found} | (
-        {"d_zif8_left_out": left_out} if left_out else {}
-    )
+        record["d_zif8"] = infer_d_zif8(job.posterior.of("tau_s"), seed=job.seed).to_json()
+    return record
 
 
 def _systems(job: Job) -> list[tuple[str, float | None, Any]]:

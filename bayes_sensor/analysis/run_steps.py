@@ -35,7 +35,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import sha256
 from bayes_sensor.io.put_run import CommandClock, put_run
 from bayes_sensor.io.results import Results, StagingFolder
-from bayes_sensor.io.run_record import digest
+from bayes_sensor.io.run_record import campaign_record, digest
 
 if TYPE_CHECKING:
     from bayes_sensor.report import Choice
@@ -123,7 +123,7 @@ def run_steps(
     # everything that can be wrong with the input is found before anything is written
     check_methods(overrides.bounds.methods, label)
     begin = time.perf_counter()
-    campaign, _, remarks = read_input(given)
+    campaign, table, remarks = read_input(given)
     read_seconds = time.perf_counter() - begin
     if campaign.is_design:
         name = Path(campaign.source).name if campaign.source else campaign.title
@@ -144,6 +144,7 @@ def run_steps(
         options=options or {}, quick=quick, bar=bar, muted=muted,
         compare_published=report is not None and report.compare_published,
     )  # fmt: skip
+    job.campaign_json = campaign_record(campaign, remarks, table)
     job.basis = digest(job.campaign_json, overrides.basis())
     files = _files(campaign, config)
     if results is None:

@@ -90,11 +90,11 @@ class Posterior(Draws):
         of_lags = sorted(commuting.places)
         one = len(self.problem.assignments) == 1
         labels = {name: i for i, name in enumerate(self.names)}
-        given = {name: (name, 1.0) for name in self.layout.shared_names} | self.layout.tied
-        for name, (source, factor) in given.items():
+        tied = self.layout.tied
+        for name in (*self.layout.shared_names, *tied):
+            source = tied[name][0] if name in tied else name
             settled = one or source not in commuting.names
-            places = [labels[source]] if settled else of_lags
-            found[name] = self._row(factor * self.of(source), places)
+            found[name] = self._row(self.of(name), [labels[source]] if settled else of_lags)
         if self.naming.order == "undecided":
             for name in LAG_NAMES[self.naming.n_lags]:
                 found[name] = self._row(self.of(name), of_lags)

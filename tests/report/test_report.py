@@ -743,12 +743,14 @@ def test_figures_are_saved_once_as_vectors_and_on_demand_as_pixels(
     assert {f"{stem}.svg" for stem in always} <= names
     assert {p.rpartition(".")[2] for p in names} == {"svg"}
     assert sum(name.startswith("overlay") for name in names) == 1
-    assert not {"corner.svg", "traces.svg"} & names
+    assert not {"corner.svg", "traces.svg", "step_study.svg"} & names
     out = shutil.copytree(analysed, tmp_path / "out")
+    bounds = json.loads((out / "bounds.json").read_text())
+    (out / "bounds.json").write_text(json.dumps({**bounds, "step_study": STUDY}))
     options = ["--pages", "full", "--png", "--jobs", "2", "--compare-published", "--quiet"]
     assert run("report", out, *options) == 0
     names = {p.name for p in (out / "figures").iterdir()}
-    for stem in (*always - {"chain"}, "overlay_1", "overlay_4", "corner", "traces"):
+    for stem in (*always - {"chain"}, "overlay_1", "overlay_4", "corner", "traces", "step_study"):
         assert {f"{stem}.svg", f"{stem}.png"} <= names
         assert imread(out / "figures" / f"{stem}.png")[..., :3].std() > 0.02, stem
     assert run("report", out, "--no-figures", "--quiet") == 0

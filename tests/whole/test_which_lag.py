@@ -1,6 +1,7 @@
 """Which lag is the sensor's, wherever tau is used: bounds, plans, simulations, reports, fleets."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -300,6 +301,20 @@ def test_undecided_results_name_no_tau(undecided: Path) -> None:
     assert list(fit["estimates"]) == ["lag_fast_s", "lag_slow_s", "V_mL"]
     assert abs(fit["estimates"]["lag_slow_s"] - 2.0) < 0.1
     assert {"lag_fast_s", "lag_slow_s"} < fit["euler"]["difference"].keys()
+
+
+def test_the_study_of_steps_names_no_tau_either(undecided: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(undecided.parent / "data", tmp_path / "data")
+    text = (data / "campaign.toml").read_text()
+    (data / "campaign.toml").write_text('coating = "zif8"\n' + text)
+    (tmp_path / "quick.toml").write_text(
+        QUICK.replace('["crlb_iid", "crlb_ar1", "posterior"]', '["crlb_iid"]')
+    )
+    options = ["--out", tmp_path / "out", "--config", tmp_path / "quick.toml", "--quiet"]
+    assert run("bounds", data / "campaign.toml", *options) == 0
+    study = saved(tmp_path / "out", "bounds.json")["step_study"]
+    assert {"tau_s", "tau_v_s"}.isdisjoint(study[0])
+    assert study[0].keys() >= {"lag_fast_s", "lag_slow_s", "V_mL"}
 
 
 def test_an_undecided_report_shows_lags_by_size(undecided: Path) -> None:
