@@ -123,11 +123,11 @@ QUESTIONS: list[Question] = [
      lambda r: r["top_right"]),
     ("no wrong name with confidence, all", lambda r: True, lambda r: not r["confident_wrong"]),
     ("no wrong name, all", lambda r: True, lambda r: not r["wrong_name"]),
-    ("not called something else, unlisted, d >= 8",
+    ("verdict right, unlisted, d >= 8",
      lambda r: r["kind"] in ("unlisted", "withheld") and r["d"] is not None and r["d"] >= 8.0,
      lambda r: r["verdict_right"]),
     (f"closed fraction within {TOLERANCE:g}, listed, d >= 8",
-     lambda r: r["kind"] == "listed" and r["closed_oracle"] is not None,
+     lambda r: r["kind"] == "listed" and _is_seen(r) and r["closed_oracle"] is not None,
      lambda r: r["closed"] is not None and abs(r["closed"] - r["closed_oracle"]) <= TOLERANCE),
 ]  # fmt: skip
 
