@@ -97,7 +97,7 @@ data: $(STAMP) data/make_reference.py
 
 docs: $(STAMP) docs/conf.py
 	@$(PIP_INSTALL) -c $(CONSTRAINTS) -e '.[docs]'
-	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
+	$(BIN)/python -m sphinx -W --keep-going -j $(JOBS) -b html docs build/docs
 	@echo "pages: $(CURDIR)/build/docs/index.html"
 
 screenshot: $(STAMP) docs/first_page.py

@@ -10,7 +10,7 @@ from typing import Any
 from sphinx.application import Sphinx
 from sphinx.errors import ConfigError
 
-ABSENT = [name for name in ("myst_parser", "furo", "latex2mathml") if find_spec(name) is None]
+ABSENT = [name for name in ("myst_nb", "furo", "latex2mathml") if find_spec(name) is None]
 if ABSENT:
     raise ConfigError(f"not installed: {', '.join(ABSENT)}; run: pip install 'bayes-sensor[docs]'")
 
@@ -28,10 +28,20 @@ version = release = bayes_sensor.__version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "myst_parser",
+    "myst_nb",
+    "gallery",
     "mathml",
     "study_table",
 ]
+# the notebooks lie beside the pages, and are run by every build
+NOTEBOOKS = HERE / "notebooks"
+if not NOTEBOOKS.exists():
+    NOTEBOOKS.symlink_to(Path("..") / "notebooks", target_is_directory=True)
+nb_execution_mode = "force"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 # formulas become MathML, which browsers draw themselves; MathJax would be fetched from elsewhere
@@ -47,7 +57,7 @@ add_module_names = False
 napoleon_numpy_docstring = True
 napoleon_google_docstring = False
 
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "**/.ipynb_checkpoints"]
 html_theme = "furo"
 html_title = f"bayes_sensor {release}"
 html_static_path = ["static"]

@@ -213,6 +213,7 @@ def compare_bounds(
         bounds[name] = with_names(bound, naming)
         seconds[name] = time.perf_counter() - start
         done += 1
+    report(0.0, "done")
     return Bounds(
         bounds,
         problem.campaign.signal_unit,

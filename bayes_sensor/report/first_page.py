@@ -11,7 +11,7 @@ from bayes_sensor import figures
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.method_words import method_words, quoted
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
-from bayes_sensor.report.headline import SAY_WHICH, Headline, chain_words
+from bayes_sensor.report.headline import SAY_WHICH, Headline, any_order, chain_times
 from bayes_sensor.report.notices import alerts
 from bayes_sensor.report.parts import Part, Picture, Section, see
 from bayes_sensor.report.saved import Saved
@@ -116,10 +116,11 @@ def _chain(saved: Saved, head: Headline | None) -> Fact | None:
     if saved.posterior is None or head is None or head.hidden:
         return None
     flows = {e["experiment"]: e.get("total_flow_L_min") for e in saved.campaign["experiments"]}
-    words = chain_words(saved.posterior, flows).rpartition("of lags: ")[2]
+    words = chain_times(saved.posterior, flows)
     if not words:
         return None
-    return Fact("Whole chain", f"{typeset(words)} (95 %), whatever the order of its lags.", "tau")
+    order = any_order(saved.posterior, "of its lags")
+    return Fact("Whole chain", f"{typeset(words)} (95 %){order}.", "tau")
 
 
 def _noise(saved: Saved) -> Fact | None:

@@ -229,11 +229,21 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
     return Headline(f"tau is either {each} ({method}): {SAY_WHICH}", "", False, undecided=True)
 
 
-def chain_words(posterior: Mapping[str, Any], flows: Mapping[str, float] | None = None) -> str:
-    """t63 and t90 of the whole chain at the lowest and the highest flow, as a sentence.
+def chain_words(posterior: Mapping[str, Any]) -> str:
+    """t63 and t90 of the whole chain, as a sentence; empty for results without them."""
+    times = chain_times(posterior)
+    return f"the whole chain{any_order(posterior)}: {times}" if times else ""
 
-    They do not depend on the assignment of the lags; empty for results without them.  ``flows``:
-    L/min by experiment, which are then said.
+
+def any_order(posterior: Mapping[str, Any], of: str = "of lags") -> str:
+    """That the chain's times hold for every assignment of the lags; empty where one is all."""
+    return "" if len(posterior.get("lags_s") or ()) == 1 else f", whatever the order {of}"
+
+
+def chain_times(posterior: Mapping[str, Any], flows: Mapping[str, float] | None = None) -> str:
+    """t63 and t90 of the whole chain at the lowest and the highest flow; empty without them.
+
+    ``flows``: L/min by experiment, which are then said.
     """
     found = posterior.get("chain", {})
     names = sorted(found, key=lambda name: -found[name]["t90_s"]["q50"])
@@ -256,7 +266,7 @@ def chain_words(posterior: Mapping[str, Any], flows: Mapping[str, float] | None 
             value = with_spread(factor * mid, factor * (hi - lo))
             times.append(f"{key} {value} {unit} {interval(factor * lo, factor * hi)}")
         said.append(f"{', '.join(times)}{label}")
-    return f"the whole chain, whatever the order of lags: {'; '.join(said)}"
+    return "; ".join(said)
 
 
 def effect_names(posterior: Mapping[str, Any]) -> list[str]:

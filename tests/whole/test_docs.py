@@ -84,6 +84,19 @@ def test_names_files_and_links_exist(page: str) -> None:
         assert (DOCS / f"{path}.md").exists(), path
 
 
+def test_every_page_ends_with_what_to_read_next() -> None:
+    # the first page leads to all, the reference is where one ends
+    ends = {page: text.split("```{toctree}")[0].rstrip() for page, text in TEXT.items()}
+    last = {page: text.rpartition("\n\n")[2] for page, text in ends.items()}
+    without = {page for page, text in last.items() if not text.startswith("What to read next: [")}
+    assert without == {"index.md", "api.md"}
+
+
+def test_the_gallery_shows_every_notebook() -> None:
+    listed = re.findall(r"^notebooks/(\w+)$", TEXT["gallery.md"], re.MULTILINE)
+    assert sorted(listed) == sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
 @pytest.mark.parametrize("page", TEXT)
 def test_commands_and_their_options_exist(page: str) -> None:
     root: Any = typer.main.get_command(app)

@@ -22,7 +22,7 @@ EXTRAS = {
     "xlsx": ("openpyxl",),
     "cluster": ("dask", "distributed"),
     "bench": ("pints",),
-    "docs": ("sphinx", "myst_parser", "furo", "latex2mathml"),
+    "docs": ("sphinx", "myst_nb", "furo", "latex2mathml"),
 }
 OPTIONAL = sorted({module for modules in EXTRAS.values() for module in modules})
 # pydantic is not among them: newer versions of typer load it themselves
@@ -177,7 +177,7 @@ def test_the_benchmark_goes_on_without_pints_and_names_its_extra(
     assert "pip install 'bayes-sensor[bench]'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("absent", ["myst_parser", "furo", "latex2mathml"])
+@pytest.mark.parametrize("absent", ["myst_nb", "furo", "latex2mathml"])
 def test_the_pages_name_their_extra(absent: str, monkeypatch: pytest.MonkeyPatch) -> None:
     errors = pytest.importorskip("sphinx.errors")
     monkeypatch.setitem(sys.modules, absent, None)
