@@ -42,11 +42,12 @@ def answer_lines(analysis: Findings) -> list[str]:
 
     lines = []
     record = None if analysis.posterior is None else analysis.posterior.to_json()
-    found = headline(record, analysis.bounds_json, analysis.settings)
+    gap = None if analysis.gap is None else analysis.gap.to_json()
+    found = headline(record, analysis.bounds_json, analysis.settings, gap)
     if found is not None:
         lines.append(str(found))
         if record is not None and not found.hidden:
-            lines.append(chain_words(record))
+            lines.append(chain_words(record, bool(found.without)))
     elif analysis.fit is not None:
         lines.append(repr(analysis.fit))
     if analysis.gap is not None:

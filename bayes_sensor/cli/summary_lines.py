@@ -26,13 +26,14 @@ def print_summary(job: Job, results: Results) -> None:
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
         record = None if job.posterior is None else job.posterior.to_json()
-        found = headline(record, bounds, job.overrides.record())
+        gap = None if job.gap is None else job.gap.to_json()
+        found = headline(record, bounds, job.overrides.record(), gap)
         if found is not None:
             say(str(found), quiet)
             if found.is_limit and found.limit and not found.hidden:
                 say(f"zero is not excluded: tau < {found.limit} (95 %)", quiet)
             if record is not None and not found.hidden:
-                say(chain_words(record), quiet)
+                say(chain_words(record, bool(found.without)), quiet)
     if command == "fit":
         say(f"{fit_words(job.fit)} (intervals: bounds or posterior)", quiet)
         if job.fit.n_lags is not None:

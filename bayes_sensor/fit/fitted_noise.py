@@ -115,7 +115,8 @@ def fitted_variances(spreads: list[Spread], grows: bool) -> tuple[float, float]:
 
 def _lag_one(spreads: list[Spread], v0: float, v1: float) -> float:
     """phi from neighbouring samples; from samples further apart where most have no neighbour."""
-    distances = [np.round(np.diff(s.places[s.used]), 2) for s in spreads]
+    # what is closer than the rounding counts as that far apart: at no distance rho is 1
+    distances = [np.maximum(np.round(np.diff(s.places[s.used]), 2), 0.01) for s in spreads]
     next_to_each_other = sum(int(np.sum(d == 1)) for d in distances)
     gaps = 2 * next_to_each_other < sum(len(d) for d in distances)
     gaps |= any(bool((d != np.rint(d)).any()) for d in distances)

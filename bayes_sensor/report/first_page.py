@@ -94,7 +94,13 @@ def _why(saved: Saved, head: Headline) -> str:
     ]
     n = sum(row.get("lo95") is not None or row.get("hi95") is not None for row in rows)
     among = f"of {n} intervals, " if n > 1 else ""
-    if saved.posterior is not None:
+    if head.without:
+        reason = (
+            "the model misses the measurement, and what it lacks changes τ. Without that: "
+            f"{typeset(head.without)}. To sample with it: bayes-sensor posterior {head.option}; "
+            "details"
+        )
+    elif saved.posterior is not None:
         reason = (
             f"{among}the posterior's alone averages over all that was estimated beside τ, and over "
             "the noise law"
@@ -120,7 +126,8 @@ def _chain(saved: Saved, head: Headline | None) -> Fact | None:
     if not words:
         return None
     order = any_order(saved.posterior, "of its lags")
-    return Fact("Whole chain", f"{typeset(words)} (95 %){order}.", "tau")
+    without = ", without what the model lacks" if head.without else ""
+    return Fact("Whole chain", f"{typeset(words)} (95 %){order}{without}.", "tau")
 
 
 def _noise(saved: Saved) -> Fact | None:
@@ -159,7 +166,9 @@ def _model(saved: Saved, head: Headline | None) -> Fact | None:
         words += f" With {effect} in the model {100.0 * closed:.0f} % of the gap closes."
     if verdict["kind"] != "none" and verdict["probability"] >= 0.5:
         words = f"No. {words}"
-    return Fact("Model right?", f"{words} {with_the_effect(saved)}".rstrip(), "gap")
+    if head is None or not head.without:  # else the page begins with it
+        words = f"{words} {with_the_effect(saved)}".rstrip()
+    return Fact("Model right?", words, "gap")
 
 
 def _next(sections: Sequence[Section]) -> Fact | None:

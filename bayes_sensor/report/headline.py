@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.method_words import classical_bound, quoted
+from bayes_sensor.report.cause_left_out import Cause, left_out
 from bayes_sensor.report.words import (
     interval,
     list_words,
@@ -35,9 +36,14 @@ class Headline:
     """whether the response is over within one sampling interval"""
     ends_s: tuple[float, float] | None = None
     """the 95 % interval of tau, where one is stated"""
+    without: str = ""
+    """what would have been said without the cause of a misfit in the model; else empty"""
+    option: str = ""
+    """of ``bayes-sensor posterior``, which samples with that cause"""
 
     def __str__(self) -> str:
-        return f"{self.text}; {self.naive}" if self.naive else self.text
+        without = f"without it {self.without}" if self.without else ""
+        return "; ".join(filter(None, (self.text, without, self.naive)))
 
 
 LIMIT = 0.15
@@ -68,12 +74,21 @@ def upper_words(high: float, low: float = 0.0) -> str:
 
 
 def headline(
-    posterior: Mapping[str, Any] | None, bounds: Mapping[str, Any] | None, settings: Any = None
+    posterior: Mapping[str, Any] | None,
+    bounds: Mapping[str, Any] | None,
+    settings: Any = None,
+    gap: Mapping[str, Any] | None = None,
 ) -> Headline | None:
-    """The first sentence of the report; None if nothing was estimated."""
+    """The first sentence of the report; None if nothing was estimated.
+
+    If ``gap`` says that the model misses the measurement, tau is that with the cause in the model.
+    """
     naive = _naive_words(bounds)
     if posterior is not None:
-        return _of_posterior(posterior, naive, settings)
+        found = _of_posterior(posterior, naive, settings)
+        cause = left_out(gap, posterior)
+        # of lags that are not assigned, and of several sensors, the diagnosis has one only
+        return found if found is None or not found.ends_s or not cause else _with(cause, found)
     if bounds is not None:
         method = quoted(bounds)
         return None if method is None else _of_bounds(bounds["methods"][method], method, naive)
@@ -119,6 +134,20 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
     if is_limit and half_normal:
         limit = f"{with_spread(1e3 * half_normal['upper95_s'], 1e3 * (hi - lo))} ms"
     return Headline(text, naive, is_limit, limit, ends_s=(lo, hi))
+
+
+def _with(cause: Cause, found: Headline) -> Headline:
+    """``found`` with the cause of the misfit in the model."""
+    low, middle, high = cause.ends_s
+    return replace(
+        found,
+        text=f"tau = {lag_words(*cause.ends_s)} (with {cause.what})",
+        is_limit=low < LIMIT * middle,
+        limit=upper_words(high, low),
+        ends_s=(low, high),
+        without=found.text,
+        option=cause.option,
+    )
 
 
 def stated_set(posterior: Mapping[str, Any]) -> list[tuple[float, float]]:
@@ -229,10 +258,14 @@ def _of_bounds(entry: Mapping[str, Any], method: str, naive: str) -> Headline | 
     return Headline(f"tau is either {each} ({method}): {SAY_WHICH}", "", False, undecided=True)
 
 
-def chain_words(posterior: Mapping[str, Any]) -> str:
-    """t63 and t90 of the whole chain, as a sentence; empty for results without them."""
+def chain_words(posterior: Mapping[str, Any], without: bool = False) -> str:
+    """t63 and t90 of the whole chain, as a sentence; empty for results without them.
+
+    ``without``: the cause of a misfit, with which tau was said.
+    """
     times = chain_times(posterior)
-    return f"the whole chain{any_order(posterior)}: {times}" if times else ""
+    what = f"the whole chain{', without it' if without else ''}{any_order(posterior)}"
+    return f"{what}: {times}" if times else ""
 
 
 def any_order(posterior: Mapping[str, Any], of: str = "of lags") -> str:
@@ -279,4 +312,7 @@ def _naive_words(bounds: Mapping[str, Any] | None) -> str:
     sd = classical_bound(bounds, "white").get("tau_s")
     if not sd:
         return ""
-    return f"the iid Cramer-Rao bound alone would have said ± {number(1.96e3 * sd, 2)} ms"
+    factor, unit = time_unit(sd)
+    return (
+        f"the iid Cramer-Rao bound alone would have said ± {number(1.96 * factor * sd, 2)} {unit}"
+    )

@@ -90,7 +90,7 @@ class Saved:
     @cached_property
     def headline(self) -> Headline | None:
         """The first sentence of the report; None if nothing was estimated."""
-        return headline(self.posterior, self.bounds, self.settings)
+        return headline(self.posterior, self.bounds, self.settings, self.gap)
 
     @property
     def published(self) -> bool:

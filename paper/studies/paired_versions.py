@@ -5,7 +5,8 @@ version.  The campaigns are drawn as the blind check draws its own and written t
 ``build/paired``; each version reads them in processes of its own.  What is there already is not
 computed again.  ``paper/tables/paired_versions.csv`` has a row a question: in how many campaigns
 each version was right, in how many only one of them, and McNemar's exact p-value of that difference
-(Psychometrika 12, 1947, 153).
+(Psychometrika 12, 1947, 153).  ``paper/tables/quoted_tau.csv`` has a row a verdict that names a
+cause: how often tau's interval holds the truth with and without that cause in the model.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ SEED = 2411
 PLANNED = 400
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "paper" / "tables" / "paired_versions.csv"
+QUOTED = TABLE.with_name("quoted_tau.csv")
 VERSIONS = ("before", "now")
 TOLERANCE = 0.1
 """by how much a closed fraction may be off"""
@@ -61,6 +63,7 @@ def main() -> None:
         if any([process.wait() for process in parts]):
             raise SystemExit(f"the diagnosis by the version in {code} failed")
     compare(asked.folder, asked.n)
+    quote(asked.folder, asked.n)
 
 
 def _places(folder: Path) -> list[Path]:
@@ -162,6 +165,36 @@ def compare(folder: Path, n: int) -> None:
             "p_value": float(mcnemar(counts, exact=True).pvalue),
         })  # fmt: skip
     pd.DataFrame(rows).to_csv(TABLE, index=False, float_format="%.3g")
+
+
+def quote(folder: Path, n: int) -> None:
+    """Count how often the interval that a report quotes holds tau, and write the table."""
+    import numpy as np
+    import pandas as pd
+
+    from bayes_sensor.blind_check.statistics import wilson
+    from bayes_sensor.report.cause_left_out import left_out
+
+    found = []
+    for place in _places(folder)[:n]:
+        tau = json.loads((place / "truth.json").read_text(encoding="utf-8"))["tau_s"]
+        gap = json.loads((place / "now.json").read_text(encoding="utf-8"))
+        cause = left_out({**gap, "hidden": {"lag": "tau"}}, None) if "verdict" in gap else None
+        if cause is not None:
+            low, _, high = cause.ends_s
+            a, b = (gap["shrink"][f"tau_before_{end}_s"] for end in ("lo", "hi"))
+            found.append((gap["verdict"]["kind"], a <= tau <= b, low <= tau <= high,
+                          (high - low) / (b - a)))  # fmt: skip
+    rows = []
+    for kind in ("effect", "family", "unlisted"):
+        _, without, with_it, widths = zip(*(row for row in found if row[0] == kind), strict=True)
+        ends = dict(zip(("lo95", "hi95"), wilson(sum(with_it), len(with_it)), strict=True))
+        rows.append({
+            "verdict": kind, "campaigns": len(with_it), "without": sum(without),
+            "with_cause": sum(with_it), "share": sum(with_it) / len(with_it), **ends,
+            "relative_width": float(np.median(widths)),
+        })  # fmt: skip
+    pd.DataFrame(rows).to_csv(QUOTED, index=False, float_format="%.3g")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+import bayes_sensor as bs
 from bayes_sensor.bounds import compare_bounds
 from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.likelihood.problem import Problem
@@ -94,3 +95,18 @@ def test_an_undecided_order_is_both() -> None:
     record = fit.to_json()
     assert set(record["estimates"]) == {"lag_fast_s", "lag_slow_s"}
     assert Problem(data).naming().order == "undecided"
+
+
+def test_samples_that_nearly_coincide_have_a_noise_law_and_bounded_chains() -> None:
+    rng = np.random.default_rng(3)
+    t = np.r_[0.0, np.sort(rng.uniform(0.0, 1200.0, 149))]
+    assert np.diff(t).min() < 0.005 * np.median(np.diff(t))
+    # two lags read as one: slow noise takes up the misfit, and the posterior is a narrow valley
+    rise = -0.8 * np.expm1(-t / 180.0) - 0.2 * np.expm1(-t / 600.0)
+    y = -45.0 + 84.0 * rise + 0.05 * rng.standard_normal(len(t))
+    campaign = bs.Campaign.from_frames({"1": (t, y)}, stages=["sensor"], commanded_on="1 s")
+    fit = bs.fit_least_squares(campaign, seed=1)
+    assert 0.0 < fit.noise["phi"] < 1.0
+    settings = bs.Settings(n_chains=2, n_walkers=32, max_steps=200)
+    posterior = bs.sample_posterior(campaign, fit, seed=1, sampler="hmc", settings=settings)
+    assert posterior.sampler == "emcee" and "too short for a trajectory" in posterior.reasons[0]

@@ -280,18 +280,26 @@ def test_the_first_page_says_one_tau_the_chain_the_noise_and_the_verdict(saved: 
         predictive=None,
         gap=found,
     )  # fmt: skip
+    # who reads only the top must not take home the tau of a model that is known to be wrong
     page, told = first_page(saved, []), facts(saved)
+    assert page.tau == "τ = 40 ms, 95 % interval [31, 52] ms (with flow settling in the model)"
+    assert "Without that: τ = 22 ms, 95 % interval [1, 64] ms (posterior, AR(1) noise)" in page.why
+    assert "--with-effect flow_settling" in page.why
+    assert told["Whole chain"].endswith("without what the model lacks.") and "Limit" not in told
+    model = told["Model right?"]
+    assert model.startswith("No. The cause is flow settling. It closes 97 % of the gap.")
+    sampled = {**saved.posterior, "with_effects": ["flow_settling"]}
+    assert first_page(replace(saved, posterior=sampled), []).tau.startswith("τ = 22 ms")
+    right = {**found, "verdict": {"kind": "none", "effects": [], "probability": 0.8,
+                                  "sentence": "Nothing is missing."}}  # fmt: skip
+    plain = replace(saved, gap=right)
+    page, told = first_page(plain, []), facts(plain)
     assert page.tau.startswith("τ = 22 ms, 95 % interval [1, 64] ms")
     assert "63 %" in page.why and "the posterior's alone averages" in page.why
     assert "of 3 intervals" in page.why  # the published recipe is not among them
     assert "upper limit, τ < 57 ms" in told["Limit"]
     assert "L/min" in told["Whole chain"] and "t90" in told["Whole chain"]
     assert "correlation 0.80 after 10.0 ms" in told["Noise"] and "passes" in told["Noise"]
-    # who reads only the top must not take home the tau of a model that is known to be wrong
-    model = told["Model right?"]
-    assert model.startswith("No. The cause is flow settling. It closes 97 % of the gap.")
-    assert "τ is 40 ms, 95 % interval [31, 52] ms" in model
-    assert "--with-effect flow_settling" in model
     unsaid = {**verdict, "sentence": "The cause is flow_settling."}
     told = facts(replace(saved, gap={**found, "verdict": unsaid}))
     assert "With the best explanation in the model 97 % of the gap closes." in told["Model right?"]
@@ -387,6 +395,32 @@ def test_the_chain_is_drawn_for_any_rig(saved: Saved) -> None:
     assert words(campaign={"stages": []}) == []
     hostile = figures.chain([figures.Box("<b>&", ("<script>",))])
     assert "<script" not in hostile and "&lt;b&gt;&amp;" in hostile
+
+
+def test_the_headline_has_the_cause_of_a_misfit_in_its_model(saved: Saved) -> None:
+    shrink = {"tau_after_s": 40.0, "tau_after_lo_s": 31.0, "tau_after_hi_s": 52.0}
+    found = {"verdict": {"kind": "family", "effects": ["drift", "hum"]}, "shrink": shrink,
+             "hidden": {"lag": "tau"},
+             "tau_with_discrepancy_s": {"q2.5": 1.0, "q50": 2.0, "q97.5": 3.0}}  # fmt: skip
+    assert saved.posterior is not None
+    told = headline(saved.posterior, saved.bounds, None, found)
+    plain = headline(saved.posterior, saved.bounds)
+    assert told is not None and plain is not None
+    assert told.text == (
+        "tau = 40 s, 95 % interval [31, 52] s (with the likely explanations of the misfit in turn)"
+    )
+    assert f"; without it {plain.text}; the iid" in str(told) and told.ends_s == (31.0, 52.0)
+    assert told.option == "--with-effect drift"
+    unlisted = {**found, "verdict": {"kind": "unlisted", "effects": []}}
+    told = headline(saved.posterior, saved.bounds, None, unlisted)
+    assert told is not None and told.text.startswith("tau = 2.0 s, 95 % interval [1.0, 3.0] s (with")
+    for posterior, gap in (
+        ({**saved.posterior, "with_discrepancy": True}, unlisted),
+        (saved.posterior, {**unlisted, "tau_with_discrepancy_s": None}),
+        (saved.posterior, {**found, "shrink": {**shrink, "withheld": True}}),
+    ):
+        told = headline(posterior, saved.bounds, None, gap)
+        assert told is not None and not told.without, gap
 
 
 def test_no_section_contradicts_the_gap(saved: Saved) -> None:

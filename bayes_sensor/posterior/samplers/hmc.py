@@ -16,6 +16,9 @@ OUTSIDE = 8
 """points off the mesh after which it is widened"""
 MOST_OUTSIDE = 4 * OUTSIDE
 """points off the mesh after which the sampler is given up: each costs ten thousand times another"""
+MOST_STEPS = 64
+"""of a trajectory; where a quarter turn takes more, the draws are those of a random walk"""
+OFF_MESH = "its chains leave the mesh again and again"
 _State = tuple[FloatArray, float, FloatArray]  # position, log density, its gradient
 
 
@@ -120,10 +123,6 @@ def run_hmc(given: Target) -> Run:
     laplace, settings = given.laplace, given.settings
     target = Whitened(laplace, given.compressed)
     rngs = [np.random.default_rng(s) for s in given.streams.spawn(settings.n_chains)]
-    given_up = Run(
-        np.empty((0, 0, 0)), False,
-        "Hamiltonian Monte Carlo was given up: its chains leave the mesh again and again", 0.0,
-    )  # fmt: skip
     states, sizes = [], []
     for rng in rngs:
         thetas, _ = laplace.draw(1, rng)
@@ -144,7 +143,9 @@ def run_hmc(given: Target) -> Run:
             weight = i**-0.75
             average = weight * log_size + (1 - weight) * average
         if target.lost:
-            return given_up
+            return _given_up(OFF_MESH)
+        if 0.5 * np.pi / np.exp(average) > MOST_STEPS:
+            return _given_up("it needs steps too short for a trajectory to turn")
         states.append(state)
         sizes.append(np.exp(average))
     n_psi = len(laplace.mean)
@@ -164,7 +165,7 @@ def run_hmc(given: Target) -> Run:
                 min(0.95, (len(chains[0]) + j * block / len(rngs)) / settings.max_draws), "HMC"
             )
         if target.lost:
-            return given_up
+            return _given_up(OFF_MESH)
         stacked = target.theta(np.stack(chains))
         done, found = enough(given.problem, stacked, settings.target_ess)
         n, most = len(chains[0]), settings.max_draws // 2
@@ -188,6 +189,10 @@ def run_hmc(given: Target) -> Run:
             )
 
 
+def _given_up(why: str) -> Run:
+    return Run(np.empty((0, 0, 0)), False, f"Hamiltonian Monte Carlo was given up: {why}", 0.0)
+
+
 def _leapfrog(
     target: Whitened, state: _State, size: float, rng: np.random.Generator
 ) -> tuple[_State, float]:
@@ -196,7 +201,7 @@ def _leapfrog(
     # a quarter turn makes draws from a Gaussian independent; jittered against resonances
     size = size * rng.uniform(0.8, 1.2)
     steps = max(1, round(0.5 * np.pi * rng.uniform(0.8, 1.2) / size))
-    steps = min(steps, 64)
+    steps = min(steps, MOST_STEPS)
     start = value - 0.5 * float(p @ p)
     new_q, new_g, new_value = q, g, value
     p = p + 0.5 * size * new_g
