@@ -31,6 +31,8 @@ LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parents[1]
 NO_NUMBERS = ("figures", "report")
 """rooms of the package that no result of a task depends on; messages of cli are such results"""
+DIGEST = "written_sha256"
+"""array of a part's file that no task may have"""
 
 
 def seed_of(stream: np.random.SeedSequence) -> int:
@@ -102,7 +104,7 @@ def run_chunks(
                 lost = f"campaigns {span[0]} to {span[1] - 1} of the study: {result}"
                 continue  # said when all others are done and kept
             buffer = io.BytesIO()
-            np.savez_compressed(buffer, **result)
+            np.savez_compressed(buffer, **{**result, DIGEST: np.array(_digest(result))})
             write_bytes(_file(folder, span), buffer.getvalue())
             parts[span] = result
             done += span[1] - span[0]
@@ -156,12 +158,23 @@ def _claim(folder: Path, settings: dict[str, Any]) -> None:
 
 
 def _load(path: Path, n: int) -> dict[str, np.ndarray] | None:
-    """A finished part of ``n`` tasks; None if it is missing or damaged by a power cut."""
+    """A finished part of ``n`` tasks; None if it is missing, damaged or not what was written."""
     try:
         saved = read_arrays(path, "parts of a study")
     except CampaignError:
         return None
-    return saved if all(a.ndim and len(a) == n for a in saved.values()) else None
+    digest = saved.pop(DIGEST, None)
+    whole = digest is not None and str(digest) == _digest(saved)
+    return saved if whole and all(a.ndim and len(a) == n for a in saved.values()) else None
+
+
+def _digest(part: Mapping[str, np.ndarray]) -> str:
+    """Of all names and numbers of a part."""
+    hasher = hashlib.sha256()
+    for name in sorted(part):
+        array = np.ascontiguousarray(part[name])
+        hasher.update(repr((name, array.dtype.str, array.shape)).encode() + array.tobytes())
+    return hasher.hexdigest()
 
 
 def _alike(

@@ -17,6 +17,7 @@ from __future__ import annotations
 import glob
 import os
 import re
+import stat
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -70,7 +71,13 @@ def read_list(path: str | os.PathLike[str]) -> list[FleetEntry]:
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > LARGEST:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # a pipe may never end
+            raise CampaignError(
+                f"{path}: expected a list of campaigns, but it is not a regular file; copy its "
+                "content into one"
+            )
+        if status.st_size > LARGEST:
             raise CampaignError(
                 f"{path}: expected a list of at most {LARGEST >> 20} MB; check that it is one"
             )

@@ -102,9 +102,11 @@ def _largest(values: Any) -> float | None:
 def fingerprint(campaign_file: Path) -> dict[str, str]:
     """SHA-256 of a campaign's file and of its data files, by path relative to its folder."""
     from bayes_sensor.io.json_files import sha256
+    from bayes_sensor.io.readers import LARGEST_FILE, read_bytes
     from bayes_sensor.io.toml_text import read_toml
 
-    tables = read_toml(campaign_file.read_bytes(), campaign_file.name)
+    content = read_bytes(campaign_file, str(campaign_file), LARGEST_FILE, "a campaign file in TOML")
+    tables = read_toml(content, campaign_file.name)
     names = [campaign_file.name, *(entry["file"] for entry in tables["experiment"])]
     places = {name: campaign_file.parent / name for name in names}
     return {name: sha256(place) for name, place in places.items() if place.is_file()}

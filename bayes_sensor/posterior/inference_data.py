@@ -75,8 +75,10 @@ def load_group(path: Path, name: str) -> Any:
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             check_size(_size(file), len(content))
-        with xarray.open_dataset(io.BytesIO(content), group=name, engine=ENGINE) as group:
-            return group.load()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # one message on a damaged file is enough
+            with xarray.open_dataset(io.BytesIO(content), group=name, engine=ENGINE) as group:
+                return group.load()
     except UNREADABLE as error:
         raise refused(path, EXPECTED, f"they cannot be read ({error})") from None
 

@@ -137,6 +137,22 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["i"], np.arange(12.0))
 
 
+@pytest.mark.parametrize("change", ["renamed", "reshaped", "replaced"])
+def test_a_part_that_was_changed_is_computed_anew(tmp_path: Path, change: str) -> None:
+    chunks, calls = tmp_path / "chunks", tmp_path / "calls"
+    calls.mkdir()
+    whole = run_chunks(Counted(calls), 2, chunks, "key", chunk=2)
+    (part,) = chunks.glob("chunk-*.npz")
+    with np.load(part) as saved:
+        arrays = dict(saved)
+    x = arrays.pop("x")
+    new = {"renamed": {"y": x}, "reshaped": {"x": x[:, None]}, "replaced": {"x": x + 1.0}}
+    np.savez_compressed(part, **{**arrays, **new[change]})
+    again = run_chunks(Counted(calls), 2, chunks, "key", chunk=2)
+    assert set(again) == set(whole) == {"x", "i"}
+    np.testing.assert_array_equal(again["x"], whole["x"])
+
+
 def test_another_key_starts_again(tmp_path: Path) -> None:
     run_chunks(Counted(tmp_path), 4, tmp_path / "c", "one", chunk=2)
     for mark in tmp_path.glob("call-*"):

@@ -106,7 +106,7 @@ def test_samples_that_nearly_coincide_have_a_noise_law_and_bounded_chains() -> N
     y = -45.0 + 84.0 * rise + 0.05 * rng.standard_normal(len(t))
     campaign = bs.Campaign.from_frames({"1": (t, y)}, stages=["sensor"], commanded_on="1 s")
     fit = bs.fit_least_squares(campaign, seed=1)
-    assert 0.0 < fit.noise["phi"] < 1.0
+    assert 0.0 < fit.parameters["phi"] < 1.0
     settings = bs.Settings(n_chains=2, n_walkers=32, max_steps=200)
     posterior = bs.sample_posterior(campaign, fit, seed=1, sampler="hmc", settings=settings)
     assert posterior.sampler == "emcee" and "too short for a trajectory" in posterior.reasons[0]

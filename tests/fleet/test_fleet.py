@@ -16,6 +16,7 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
 from bayes_sensor.fleet import COLUMNS, FleetEntry, comparison, failed_row, read_list, table
 from bayes_sensor.fleet.comparison import page
+from bayes_sensor.fleet.outcome import fingerprint
 
 QUICK = """
 [fit]
@@ -59,6 +60,15 @@ def test_every_kind_of_list_names_the_same_campaigns(tmp_path: Path) -> None:
     found = [[(e.name, os.path.abspath(e.file)) for e in read_list(each)] for each in lists]
     assert found[0] == [(n, str(tmp_path / "lab" / n / "campaign.toml")) for n in "ab"]
     assert all(each == found[0] for each in found)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_for_a_list_or_a_campaign_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(CampaignError, match="not a regular file"):
+        read_list(tmp_path / "pipe.toml")
+    with pytest.raises(CampaignError, match="not a regular file"):
+        fingerprint(tmp_path / "pipe.toml")
 
 
 def test_names_are_unlike_each_other_and_safe(tmp_path: Path) -> None:

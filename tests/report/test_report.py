@@ -413,7 +413,9 @@ def test_the_headline_has_the_cause_of_a_misfit_in_its_model(saved: Saved) -> No
     assert told.option == "--with-effect drift"
     unlisted = {**found, "verdict": {"kind": "unlisted", "effects": []}}
     told = headline(saved.posterior, saved.bounds, None, unlisted)
-    assert told is not None and told.text.startswith("tau = 2.0 s, 95 % interval [1.0, 3.0] s (with")
+    assert told is not None and told.text.startswith(
+        "tau = 2.0 s, 95 % interval [1.0, 3.0] s (with"
+    )
     for posterior, gap in (
         ({**saved.posterior, "with_discrepancy": True}, unlisted),
         (saved.posterior, {**unlisted, "tau_with_discrepancy_s": None}),
