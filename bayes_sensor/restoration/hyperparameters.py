@@ -19,7 +19,7 @@ from scipy.stats import norm
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.restoration.state_space import ORDERS, FilterSamples, Model
 
-MOST_SAMPLES = 20_000
+MOST_SAMPLES = 10_000
 """samples in the marginal likelihood; of a longer record a part"""
 PRIOR_SD = 3.0
 """of the logarithms of all scales: a factor of 20 either way"""

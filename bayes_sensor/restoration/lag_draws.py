@@ -34,6 +34,8 @@ class LagDraws:
     source: str
     """where they come from, in words"""
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    """why the band may not hold the input"""
     """what is to be known of them, in sentences"""
 
     def __post_init__(self) -> None:
@@ -128,6 +130,7 @@ def posterior_lags(
     problem, layout = posterior.problem, posterior.problem.layout
     names = layout.sensor_names if layout.sensors_are_named else ()
     own = layout.value_names[0]
+    told = _doubts(getattr(posterior, "caveats", ()))
     if names or sensor is not None:
         own = layout.value_names[names.index(_sensor(names, sensor, "the posterior"))]
     if at == "sensor":
@@ -135,7 +138,7 @@ def posterior_lags(
         undecided = source == "tau_s" and posterior.naming.order == "undecided"
         remark = "which lag is the sensor's is undecided: the band holds all of them"
         lag = factor * np.asarray(posterior.of(source))[:, None]
-        return LagDraws(lag, _of_sensor(sensor), (remark,) if undecided else ())
+        return LagDraws(lag, _of_sensor(sensor), (remark,) if undecided else (), told)
     common = problem.flow
     if flow is not None and common is not None and abs(flow / common - 1.0) > SAME_FLOW:
         raise CampaignError(
@@ -150,7 +153,7 @@ def posterior_lags(
             continue
         value = factor * np.asarray(posterior.of(source))
         lags += stage.kind.passage(value, np.nan if flow is None else flow).lags
-    return LagDraws(np.column_stack(lags), "the posterior of the rig's lags", (NO_ORDER,))
+    return LagDraws(np.column_stack(lags), "the posterior of the rig's lags", (NO_ORDER,), told)
 
 
 def _sensor(names: Sequence[str], sensor: str | None, where: str) -> str:
@@ -191,9 +194,10 @@ def saved_lags(
         )
     if read_result(folder / "campaign.json").get("ties"):
         raise CampaignError(
-            f"{folder}: parameters are tied, which posterior.nc does not say; expected the "
+            f"{folder}: parameters are tied, so that one lag stands for several; expected the "
             "campaign's TOML file instead: give that, or the analysis in Python"
         )
+    record = read_result(folder / "posterior.json")
     names, chains = load_chains(path)
     columns = dict(zip(names, chains.reshape(-1, chains.shape[-1]).T, strict=True))
     sensors = [name[len("tau_s[") : -1] for name in columns if name.startswith("tau_s[")]
@@ -206,14 +210,15 @@ def saved_lags(
                 f"{path}: which lag is the sensor's is undecided; say sensor_is in the campaign, "
                 "or restore what entered the rig with --at rig"
             )
-        return LagDraws(columns[own][:, None], f"{_of_sensor(sensor)} in {path}")
+        told = _doubts(record.get("caveats") or [])
+        return LagDraws(columns[own][:, None], f"{_of_sensor(sensor)} in {path}", (), told)
     kept = [
         name
         for name in columns
         if name.startswith(("tau", "lag_")) and (name == own or not name.startswith("tau_s["))
     ]
     lags = np.stack([columns[name] for name in kept], axis=1)
-    n_lags = len(read_result(folder / "posterior.json")["lags_s"]) + bool(sensors)
+    n_lags = len(record["lags_s"]) + bool(sensors)
     if not kept:
         raise refused(path, "draws of lags", "there are none")
     if len(kept) < n_lags:
@@ -224,7 +229,13 @@ def saved_lags(
     if flow is not None:
         volumes = [values / flow for name, values in columns.items() if name.startswith("V_")]
         lags = np.column_stack([lags, *volumes])
-    return LagDraws(lags, f"the lags in {path}", (NO_ORDER,))
+    told = _doubts(record.get("caveats") or [])
+    return LagDraws(lags, f"the lags in {path}", (NO_ORDER,), told)
+
+
+def _doubts(caveats: Sequence[str]) -> tuple[str, ...]:
+    """What the step experiments say against the lags that they gave."""
+    return tuple(f"the band rests on the lags of the step experiments. {text}" for text in caveats)
 
 
 def _check_place(at: str) -> None:

@@ -108,7 +108,7 @@ def restore(
     duration = float(read.t[-1] - read.t[0])
     resolution = resolution_of(models, samples.interval, duration)
     innovations = check_innovations(samples.innovations(best), read.t)
-    doubts = _doubts(read, slowest)
+    doubts = [*given.doubts, *_doubts(read, slowest)]
     if nonnegative:
         limit = -mean / spread
         doubts += _below(*samples.smooth(best), limit, read)

@@ -126,3 +126,8 @@ def test_a_sensor_that_is_not_said_or_not_there_is_refused() -> None:
         posterior_lags(_posterior("two sensors"), sensor="C")
     with pytest.raises(CampaignError, match="it has one sensor, without a name"):
         posterior_lags(_posterior("equal stages"), sensor="A")
+
+
+def test_a_misfit_of_the_step_experiments_is_told() -> None:
+    posterior = SimpleNamespace(**vars(_posterior("equal stages")), caveats=("The fit misses.",))
+    assert "The fit misses." in posterior_lags(posterior).doubts[0]
