@@ -132,13 +132,14 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
     layout, campaign = problem.layout, problem.campaign
     low, high = region.low, region.high
     blocks, runs = [0], [0]
-    setting = np.zeros((len(campaign), 8))
+    setting = np.zeros((len(campaign), 11))
     base: list[float] = []
     kinds: list[int] = []
     follows: list[bool] = []
     moments, node_time, reference, reference_s2 = [], [], [], []
     log_s2, edge_t, edge_y, distance, pairs = [], [], [], [], []
     cache: dict[int, FloatArray] = {}
+    n_switches = 0
     for k, e in enumerate(campaign):
         h = e.interval
         i_y0, i_beta = layout.local[k, :2]
@@ -157,7 +158,11 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
             level,
             vector[i_beta],
             problem.noise.fading,
+            layout.switching[k].rest,
+            n_switches,
+            n_switches + len(layout.switching[k].moves),
         )
+        n_switches += len(layout.switching[k].moves)
         with_data = data and e.y is not None
         if with_data:
             d = e.values - mean_on_grid(problem, vector, k)
@@ -246,17 +251,17 @@ def _of_chain(problem: Problem) -> dict[str, np.ndarray]:
         [(e.total_flow if by else 1.0) / factor for by, (_, factor) in zip(divided, each)]
         for e, each in zip(campaign, layout.stage_sources, strict=True)
     ]
-    first = np.cumsum([0, *(len(each.moves) for each in layout.switching)])
     place = [layout.switches(k)[each.places] for k, each in enumerate(layout.switching)]
+    offsets = [s for each in layout.switching for s in each.offsets]
+    heights = [h for each in layout.switching for h in each.heights]
+    switches = np.array([np.concatenate(place), offsets, heights], dtype=float).T
     return {
-        "lag_place": np.array([[i for i, _ in each] for each in layout.stage_sources]),
-        "lag_flow": np.array(flows),
-        "switch_first": first.astype(np.int64),
-        "switch_place": np.concatenate(place).astype(np.int64),
-        "switch_offset": np.array([s for each in layout.switching for s in each.offsets]),
-        "switch_height": np.array([h for each in layout.switching for h in each.heights]),
-        "rest": np.array([each.rest for each in layout.switching], dtype=float),
-    }
+        "lags": np.array([
+            [(i, flow) for (i, _), flow in zip(each, row, strict=True)]
+            for each, row in zip(layout.stage_sources, flows, strict=True)
+        ], dtype=float),
+        "switches": np.ascontiguousarray(switches),
+    }  # fmt: skip
 
 
 SMOOTH = 3

@@ -59,21 +59,21 @@ def _advance(times, shift, taus, c, switch_time, switch_height, rest, out):
 def chain_responses(theta, k, mesh, room, xe):
     # Response of experiment k at the nodes (room.x), one sample before (room.xl) and at the first
     # and last sample of every run (xe)
-    n = mesh.lag_place.shape[1]
+    n = mesh.lags.shape[1]
     taus, c = np.empty(n), np.empty(n)
     for j in range(n):
-        taus[j] = theta[mesh.lag_place[k, j]] / mesh.lag_flow[k, j]
-    begin, end = mesh.switch_first[k], mesh.switch_first[k + 1]
+        taus[j] = theta[int(mesh.lags[k, j, 0])] / mesh.lags[k, j, 1]
+    rest, begin, end = mesh.setting[k, 8], int(mesh.setting[k, 9]), int(mesh.setting[k, 10])
     switch_time, switch_height = np.empty(end - begin), np.empty(end - begin)
     for e in range(end - begin):  # sorted: free switches may cross
-        time = theta[mesh.switch_place[begin + e]] + mesh.switch_offset[begin + e]
+        time = theta[int(mesh.switches[begin + e, 0])] + mesh.switches[begin + e, 1]
         place = e
         while place > 0 and switch_time[place - 1] > time:
             switch_time[place] = switch_time[place - 1]
             switch_height[place] = switch_height[place - 1]
             place -= 1
         switch_time[place] = time
-        switch_height[place] = mesh.switch_height[begin + e]
+        switch_height[place] = mesh.switches[begin + e, 2]
     nodes = slice(mesh.blocks[k] * K, mesh.blocks[k + 1] * K)
     times, h = mesh.time[nodes], mesh.setting[k, 0]
     n_runs = mesh.runs[k + 1] - mesh.runs[k]
@@ -85,7 +85,6 @@ def chain_responses(theta, k, mesh, room, xe):
     for j in range(n):
         if not abs(c[j]) < LARGEST:
             apart = False
-    rest = mesh.rest[k]
     if apart:
         _advance(times, 0.0, taus, c, switch_time, switch_height, rest, room.x[nodes])
         _advance(times, h, taus, c, switch_time, switch_height, rest, room.xl[nodes])

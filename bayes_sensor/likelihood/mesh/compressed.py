@@ -185,7 +185,7 @@ class Compressed:
         if not self.covers(vector):
             return self._full(vector), self._full_gradient(vector)
         gradient = np.zeros(len(vector))
-        if self._cascade and self.problem.layout.is_published:
+        if self._cascade and self.arrays.is_pulse:
             value = cascade_kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
             if not np.isnan(value):
                 return value, gradient

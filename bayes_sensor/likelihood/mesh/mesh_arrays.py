@@ -22,10 +22,10 @@ class Arrays(NamedTuple):
     noise: np.ndarray  # (n_exp, 3) positions of phi, sigma0, sigma1
     blocks: np.ndarray  # (n_exp + 1,) first block of each experiment
     runs: np.ndarray  # (n_exp + 1,) first run of each experiment
-    setting: np.ndarray  # (n_exp, 8) interval, total flow, variance weight, interval/reference,
+    setting: np.ndarray  # (n_exp, 11) interval, total flow, variance weight, interval/reference,
     # least tau that is no delay, the reference's y0 and beta, share of sigma0^2 that fades; y0 is
     # the level that means and edge samples below count from, so that a signal far from zero keeps
-    # its digits
+    # its digits; input before all switches, number of the first switch and of the next record's
     n_samples: np.ndarray  # (n_exp,)
     base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
     kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
@@ -43,13 +43,10 @@ class Arrays(NamedTuple):
     high: np.ndarray  # (n_theta,)
     n_kinds: int
     is_pulse: bool  # three lags and one pulse a record: what the quick responses are for
-    lag_place: np.ndarray  # (n_exp, n_lags) positions in theta of what each lag comes from
-    lag_flow: np.ndarray  # (n_exp, n_lags) what it is divided by: the total flow of a volume, or 1
-    switch_first: np.ndarray  # (n_exp + 1,) first switch of each experiment
-    switch_place: np.ndarray  # (n_switches,) position in theta of what moves it
-    switch_offset: np.ndarray  # (n_switches,) s, what is added to that
-    switch_height: np.ndarray  # (n_switches,)
-    rest: np.ndarray  # (n_exp,) input before them
+    # two arrays for six quantities: handing over an array costs a hundredth of an evaluation
+    lags: np.ndarray  # (n_exp, n_lags, 2) position in theta of what a lag comes from, and what that
+    # is divided by: the total flow of a volume, or 1
+    switches: np.ndarray  # (n_switches, 3) position in theta of what moves it, s added, height
 
 
 class Room(NamedTuple):
