@@ -85,7 +85,8 @@ def read_record(
     missing = int((~np.isfinite(y)).sum())
     if missing:
         y = np.where(np.isfinite(y), y, np.nan)
-        notes.append(f"{where}: {missing} of {len(y)} samples are missing; the band is wider there")
+        told = f"{missing} of {len(y)} samples are missing ({where})"
+        notes.append(f"{told}; the band is wider there")
     return Record(t, y, unit, where, recording.signal, tuple(notes), file.sha256)
 
 
