@@ -33,7 +33,7 @@ extensions = [
     "mathml",
     "study_table",
 ]
-# the notebooks lie beside the pages, and are run by every build
+# the notebooks lie beside the pages, and are run whenever their page is made
 NOTEBOOKS = HERE / "notebooks"
 if not NOTEBOOKS.exists():
     NOTEBOOKS.symlink_to(Path("..") / "notebooks", target_is_directory=True)

@@ -20,13 +20,13 @@ def print_summary(job: Job, results: Results) -> None:
     from bayes_sensor.report import chain_words, headline, number
 
     command, quiet, code = job.command, job.quiet, job.exit_code
+    gap = None if job.gap is None else job.gap.to_json()
     if command != "analyze":  # which has said them before the stage that they concern
         for sentence in decisive(job):
             say(f"warning: {sentence}", quiet)
     if command in ("analyze", "posterior", "bounds"):
         bounds = None if job.bounds is None else job.bounds[1]
         record = None if job.posterior is None else job.posterior.to_json()
-        gap = None if job.gap is None else job.gap.to_json()
         found = headline(record, bounds, job.overrides.record(), gap)
         if found is not None:
             say(str(found), quiet)
@@ -50,12 +50,12 @@ def print_summary(job: Job, results: Results) -> None:
                 )
             elif line is not None:
                 say(f"{side}: {line.status}", quiet)
-    if job.gap is not None:
+    if gap is not None:
         from bayes_sensor.diagnosis.how_far_words import how_far_lines
 
         if command == "gap":
-            say(f"gap: {job.gap.verdict.sentence}", quiet)
-        for line in how_far_lines(job.gap.to_json()):
+            say(f"gap: {gap['verdict']['sentence']}", quiet)
+        for line in how_far_lines(gap):
             say(line, quiet)
     # non-convergence is said below, on stderr
     unsaid = ("NOT converged", "not diagnosed")

@@ -34,9 +34,9 @@ class LagDraws:
     source: str
     """where they come from, in words"""
     remarks: tuple[str, ...] = ()
+    """what is to be known of them, in sentences"""
     doubts: tuple[str, ...] = ()
     """why the band may not hold the input"""
-    """what is to be known of them, in sentences"""
 
     def __post_init__(self) -> None:
         good = self.draws.ndim == 2 and self.draws.size and np.isfinite(self.draws).all()
@@ -198,6 +198,7 @@ def saved_lags(
             "campaign's TOML file instead: give that, or the analysis in Python"
         )
     record = read_result(folder / "posterior.json")
+    told = _doubts(record.get("caveats") or [])
     names, chains = load_chains(path)
     columns = dict(zip(names, chains.reshape(-1, chains.shape[-1]).T, strict=True))
     sensors = [name[len("tau_s[") : -1] for name in columns if name.startswith("tau_s[")]
@@ -210,7 +211,6 @@ def saved_lags(
                 f"{path}: which lag is the sensor's is undecided; say sensor_is in the campaign, "
                 "or restore what entered the rig with --at rig"
             )
-        told = _doubts(record.get("caveats") or [])
         return LagDraws(columns[own][:, None], f"{_of_sensor(sensor)} in {path}", (), told)
     kept = [
         name
@@ -229,7 +229,6 @@ def saved_lags(
     if flow is not None:
         volumes = [values / flow for name, values in columns.items() if name.startswith("V_")]
         lags = np.column_stack([lags, *volumes])
-    told = _doubts(record.get("caveats") or [])
     return LagDraws(lags, f"the lags in {path}", (NO_ORDER,), told)
 
 
