@@ -20,7 +20,6 @@ from bayes_sensor.display import progress_bar
 from bayes_sensor.io.results import Results
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
-from bayes_sensor.rig.cascade import Cascade
 
 LARGEST_SEED = 2**32 - 1
 BOOTSTRAP = 60
@@ -148,7 +147,7 @@ def _sampling(sampler: str | None, settings: Settings | Mapping[str, Any] | None
 def _given(campaign: Any, overrides: Overrides, told: bool) -> tuple[Path | Campaign, Overrides]:
     """The campaign or its path, and the settings with what a problem says."""
     if isinstance(campaign, Problem):
-        if type(campaign.model) is not Cascade or told:
+        if campaign.chain is None or told:
             raise CampaignError(
                 "analyze: a Problem brings its own noise law and priors and is analysed with the "
                 "chain of stages; expected one without another model, and no priors or noise "

@@ -113,8 +113,9 @@ class Evidence:
         """(n_theta,) maximum under the problem's noise; tau 0 where it is on the floor."""
         theta = self.coloured.coordinates.theta(self.coloured_maximum.psi)
         if self.coloured_at_bound:
-            theta[self.problem.layout.all_switches] += theta[0]
-            theta[0] = 0.0
+            layout = self.problem.layout
+            theta[layout.all_switches] += theta[layout.tau]
+            theta[layout.tau] = 0.0
         return theta
 
     @cached_property
@@ -182,9 +183,10 @@ class Evidence:
         if not self.problem.layout.one_sensor:
             return False
         longest = self.problem.commuting.without_volumes.lags(self.theta)[-1]
+        tau = self.theta[self.problem.layout.tau]
         return bool(
-            (self.fit.names[0] in self.fit.at_bound and self.theta[0] < 0.1 * longest)
-            or self.theta[0] ** 2 <= 1.001 * self.white.floor[0]
+            (self.fit.names[0] in self.fit.at_bound and tau < 0.1 * longest)
+            or tau**2 <= 1.001 * self.white.floor[0]
         )
 
 

@@ -18,7 +18,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.density import response_at_samples
 from bayes_sensor.likelihood.held_values import refuse_held
-from bayes_sensor.likelihood.mesh import NO_TAU, above_zero, expected_information
+from bayes_sensor.likelihood.mesh import above_zero, expected_information, fastest_beside_tau
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import euler_response, local_parameters
@@ -183,7 +183,7 @@ def _finite(
         local = layout.local[k]
         index = np.array([*layout.shared[k], *local[local >= 0]])
         beta = vector[local[1]]
-        fastest = above_zero(problem, np.append(0.0, vector[1:])) / NO_TAU
+        fastest = fastest_beside_tau(problem, vector)
         base = _response(problem, vector, k, method)
         columns = []
         for i in index:
@@ -197,7 +197,7 @@ def _finite(
             moved = vector.copy()
             moved[i] += move
             up = _response(problem, moved, k, method)
-            if difference == "central" and not (i == 0 and vector[0] == 0.0):
+            if difference == "central" and not (i == layout.tau and vector[i] == 0.0):
                 moved[i] = vector[i] - move
                 columns.append(beta * (up - _response(problem, moved, k, method)) / (2.0 * move))
             else:
@@ -212,8 +212,8 @@ def _finite(
 def _response(problem: Problem, vector: FloatArray, k: int, method: str) -> FloatArray:
     e, layout = problem.campaign.experiments[k], problem.layout
     vector = vector.copy()
-    tau = vector[0]
-    vector[0] = above_zero(problem, vector)
+    tau = vector[layout.tau]
+    vector[layout.tau] = above_zero(problem, vector)
     if method == "exact":
         return response_at_samples(problem, vector, k)
     if not layout.is_published:

@@ -26,7 +26,7 @@ from bayes_sensor.bounds.bound import LEVELS, Bound
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import compiled
 from bayes_sensor.likelihood.coordinates import Coordinates
-from bayes_sensor.likelihood.mesh import NO_TAU, Compressed, above_zero
+from bayes_sensor.likelihood.mesh import Compressed, fastest_beside_tau
 from bayes_sensor.rig.switching import is_switch_time
 
 FAR = 3.0
@@ -75,8 +75,7 @@ def least_tau(compressed: Compressed) -> float:
 
     Below it the sensor is a pure delay to rounding, and the derivative by tau^2 has its limit.
     """
-    problem, theta = compressed.problem, compressed.reference
-    fastest = above_zero(problem, np.append(0.0, theta[1:])) / NO_TAU
+    fastest = fastest_beside_tau(compressed.problem, compressed.reference)
     return float(max(1e-3 * fastest, 2.0 * compressed.arrays.setting[:, 4].max()))
 
 

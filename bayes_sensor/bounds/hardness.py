@@ -123,8 +123,8 @@ def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> 
 def square_coordinates(layout: Layout, tau: float) -> FloatArray:
     """(n_mean, n_mean) derivatives of theta by (tau^2, .., t0 + tau, tf + tau)."""
     slopes = np.eye(layout.n_mean)
-    slopes[0, 0] = 0.5 / tau
-    slopes[layout.all_switches, 0] = -0.5 / tau
+    slopes[layout.tau, layout.tau] = 0.5 / tau
+    slopes[layout.all_switches, layout.tau] = -0.5 / tau
     return slopes
 
 
@@ -134,7 +134,7 @@ def sd_of_square(bound: CramerRao, layout: Layout, tau: float) -> float:
     information = slopes.T @ bound.information @ slopes
     scale = 1.0 / np.sqrt(np.diag(information))
     inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    return float(np.sqrt(inverse[0, 0]) * scale[0])
+    return float(np.sqrt(inverse[layout.tau, layout.tau]) * scale[layout.tau])
 
 
 def explain_tau(
@@ -165,38 +165,39 @@ def explain_tau(
     vector = layout.flat(theta).copy()
     coloured = bool(np.isfinite(vector[layout.noise]).all())
     noise = "ar1" if coloured else "iid"
-    tau = float(vector[0])
+    own = layout.tau
+    tau = float(vector[own])
     # at a vanishing tau nothing about tau itself is finite; look where tau is a thousandth of tau_v
     at = vector.copy()
     beside = max((tau, *problem.commuting.lags(vector)[1:].tolist()))
-    at[0] = max(tau, 1e-3 * beside)
+    at[own] = max(tau, 1e-3 * beside)
     bound = cramer_rao(design, at, sigma, noise=noise)
-    n = layout.n_mean
+    others = [i for i in range(layout.n_mean) if i != own]
     diagonal = np.diag(bound.information)
     scale = 1.0 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(bound.information * np.outer(scale, scale))
-    direction = vectors[:, 0] * np.sign(vectors[0, 0] or 1.0)
+    direction = vectors[:, 0] * np.sign(vectors[own, 0] or 1.0)
     strongest = np.argsort(-np.abs(direction))
     weakest = {bound.names[i]: float(direction[i]) for i in strongest}
     correlation = {
-        bound.names[i]: float(bound.cov[0, i] / np.sqrt(bound.cov[0, 0] * bound.cov[i, i]))
-        for i in range(1, n)
+        bound.names[i]: float(bound.cov[own, i] / np.sqrt(bound.cov[own, own] * bound.cov[i, i]))
+        for i in others
     }
     switches = layout.all_switches.tolist()
-    rest = [i for i in range(1, n) if i not in switches]
+    rest = [i for i in others if i not in switches]
     collinearity = {
-        "switches": multiple_correlation(bound.information, 0, switches),
-        "others": multiple_correlation(bound.information, 0, rest),
-        "all": multiple_correlation(bound.information, 0, list(range(1, n))),
+        "switches": multiple_correlation(bound.information, own, switches),
+        "others": multiple_correlation(bound.information, own, rest),
+        "all": multiple_correlation(bound.information, own, others),
     }
     known = {}
     kinds = {name.split("[")[0] for name in bound.names}
     for label, fixed in KNOWN.items():
         if set(fixed) <= kinds:
             known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
-    sd_square = sd_of_square(bound, layout, float(at[0]))
+    sd_square = sd_of_square(bound, layout, float(at[own]))
     by_tau = pd.DataFrame(
-        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at[0], beside, sd_square)]
+        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at[own], beside, sd_square)]
     )
     ordered = problem.commuting.by_size(vector)
     lags = problem.commuting.without_volumes.places
@@ -228,7 +229,7 @@ def _at_tau(
     problem: Problem, at: FloatArray, tau: float, sigma: float, noise: str
 ) -> dict[str, float]:
     vector = at.copy()
-    vector[0] = tau
+    vector[problem.layout.tau] = tau
     bound = cramer_rao(problem, vector, sigma, noise=noise)
     return {
         "tau_s": tau,

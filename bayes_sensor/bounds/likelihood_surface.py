@@ -147,7 +147,7 @@ class Surface:
         low, high = self.floor.copy(), np.full(len(self.floor), np.inf)
         first, most = int(coordinates.shifts), 0.0
         if coordinates.shifts:
-            most = region.high[0]
+            most = region.high[self.problem.layout.tau]
             high[0] = most**2
         n = self.problem.layout.n_shared
         low[first:n], high[first:n] = region.low[first:n], region.high[first:n]
@@ -206,7 +206,7 @@ class Surface:
             if not np.isfinite(variance) or psi[0] >= np.sqrt(variance):
                 break
             # never beyond what the mesh covers
-            top = 0.5 * self.compressed.region.high[0] ** 2
+            top = 0.5 * self.compressed.region.high[self.problem.layout.tau] ** 2
             point[0] = max(psi[0], min(float(np.sqrt(variance)), top))
         return point
 
@@ -270,7 +270,10 @@ def curvature_along_tau(surface: Surface, psi: FloatArray, n: int = 6) -> Curvat
     if not surface.coordinates.shifts:
         alone = surface.information(psi)
         return lambda _: alone.copy()
-    least, most = float(np.sqrt(surface.floor[0])), float(surface.compressed.region.high[0])
+    least, most = (
+        float(np.sqrt(surface.floor[0])),
+        float(surface.compressed.region.high[surface.problem.layout.tau]),
+    )
     taus = least + (most - least) * np.linspace(0.0, 1.0, n) ** 1.5
     points = np.tile(psi, (n, 1))
     points[:, 0] = taus**2
@@ -308,7 +311,7 @@ def spread_along_tau(
     q = max(float(psi[0]), 0.0)
     most = min(sqrt(q + reach), ORDERED * longest) if np.isfinite(reach) else 0.0
     most = max(most, 1.2 * sqrt(q))
-    most = min(most, float(surface.compressed.region.high[0]))
+    most = min(most, float(surface.compressed.region.high[surface.problem.layout.tau]))
     least = float(np.sqrt(surface.floor[0]))
     taus = least + max(most - least, least) * np.linspace(0.0, 1.0, n)
     point = psi.copy()
@@ -326,10 +329,10 @@ def _roomy(problem: Problem, vector: FloatArray, room: float = 1.5) -> Region:
     low, high = region.low.copy(), region.high.copy()
     layout, wider = problem.layout, room - 1.0
     switches, first = layout.all_switches, int(layout.one_sensor)
-    low[switches] -= wider * (high[0] if first else vector[switches] - low[switches])
+    low[switches] -= wider * (high[layout.tau] if first else vector[switches] - low[switches])
     high[switches] += (wider - 0.5) * (high[switches] - vector[switches])
     if first:
-        high[0] += wider * high[0]
+        high[layout.tau] += wider * high[layout.tau]
     for i in range(first, layout.n_shared):
         low[i] = max(low[i] - wider * (vector[i] - low[i]), 0.1 * vector[i])
         high[i] += wider * (high[i] - vector[i])
@@ -373,7 +376,7 @@ def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
     shift = theta - about
     layout = problem.layout
     if layout.one_sensor:
-        shift[0] = max(shift[0], 0.0)
+        shift[layout.tau] = max(shift[layout.tau], 0.0)
     low = np.minimum(region.low, np.maximum(region.low + shift, 0.1 * np.minimum(theta, about)))
     switches = layout.all_switches
     low[switches] = np.minimum(region.low[switches], region.low[switches] + shift[switches])
@@ -382,7 +385,7 @@ def region_of(problem: Problem, surface: Surface, theta: FloatArray) -> Region:
     free[[*range(layout.n_shared), *switches]] = False
     low[free], high[free] = -np.inf, np.inf
     if layout.one_sensor:
-        low[0] = 0.0
+        low[layout.tau] = 0.0
     for row in problem.layout.noise:
         least = NO_NOISE * about[row[1]]
         low[row], high[row] = (-1.0 + 1e-9, least, 0.0), (1.0 - 1e-9, np.inf, np.inf)

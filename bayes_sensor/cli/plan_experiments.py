@@ -72,7 +72,7 @@ def plan_experiments(asked: Planning) -> int:
                 vector = _estimated(problem, asked.seed, tell, path)
             if assumed is not None:
                 vector = vector.copy()
-                vector[0] = assumed
+                vector[problem.layout.tau] = assumed
             tell(0.5, "choosing experiments")
             found = design_experiments(
                 problem, problem.layout.nested(vector), goal, ranges["flow"],

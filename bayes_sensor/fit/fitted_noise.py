@@ -13,7 +13,6 @@ from bayes_sensor.campaign import Experiment, FloatArray
 from bayes_sensor.likelihood.density import mean_and_variance, response_at_samples
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade
 
 
 def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -21,9 +20,9 @@ def residuals_of(problem: Problem, vector: FloatArray, k: int) -> tuple[FloatArr
     e = problem.campaign.experiments[k]
     mean, _ = mean_and_variance(problem, vector, k)
     r = np.where(e.used, e.values - mean, 0.0)
-    if type(problem.model) is Cascade:
-        if problem.model.method == "exact":
-            return r, response_at_samples(problem, vector, k)
+    if problem.chain == "exact":
+        return r, response_at_samples(problem, vector, k)
+    if problem.chain == "euler":
         y0, beta = vector[problem.layout.local[k, :2]]
         return r, (mean - y0) / beta if beta != 0 else np.zeros_like(mean)
     return r, problem.model.response(e.t, vector, problem.layout, e)

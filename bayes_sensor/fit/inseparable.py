@@ -23,7 +23,6 @@ from bayes_sensor.fit.side_information import apart_squares, covariance_of, poly
 from bayes_sensor.fit.twin import AS_GOOD, Twin
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.lags import Naming
 from bayes_sensor.rig.switching import is_switch_time
 
@@ -82,8 +81,7 @@ def inseparable(
     """
     found = [without_names(problem, naming), volumes_without_names(problem)]
     found.append(None if twin is None else exchanged(twin))
-    model = problem.model
-    if type(model) is Cascade and model.method == "exact" and not problem.held:
+    if problem.chain == "exact" and not problem.held:
         found.append(common_to_sensors(problem, vector))
         found += left_open(problem, vector)
     return tuple(each for each in found if each is not None)

@@ -86,7 +86,7 @@ def fit_least_squares(
     box = initial_bounds(problem, looks, bounds)
     count = Counted()
     exact = replace(problem, model=Cascade())
-    plain = type(problem.model) is Cascade
+    plain = problem.chain is not None
     theta, success, record, check, other = _search(
         exact, looks, box, seed, swarms, particles, de, tell, count
     )
@@ -94,7 +94,7 @@ def fit_least_squares(
     if not plain:
         other = None
         theta, success = refit(problem, theta, box, count)
-    elif problem.model.method == "euler":
+    elif problem.chain == "euler":
         theta, success = _fit_euler(problem, theta, box, looks, count)
     vector = with_noise(problem.layout, theta)
     residuals, squares = all_residuals(problem, vector)
@@ -223,7 +223,7 @@ def _search(
     medium = averages(campaign, looks, 40, 150)
     swarm = SwarmProblem(problem, coarse)
     z_low, z_high = swarm.box(low, high)
-    rise = typical_rise(looks, 0.3 * float(high[0]))
+    rise = typical_rise(looks, 0.3 * float(high[layout.tau]))
     starts, raw = [], []
     swarms, de = (swarms, de) if swarm.searchable else (0, False)
     for i, stream in enumerate(np.random.SeedSequence(seed).spawn(swarms)):
@@ -253,8 +253,8 @@ def _search(
     best = min(refined, key=lambda found: found.cost)
     for fraction in TAU_STARTS if layout.one_sensor and layout.rig.n_lags > 1 else ():
         start = best.theta.copy()
-        start[0] = min(fraction * rise, 0.9 * high[0])
-        start[layout.all_switches] += best.theta[0] - start[0]
+        start[layout.tau] = min(fraction * rise, 0.9 * high[layout.tau])
+        start[layout.all_switches] += best.theta[layout.tau] - start[layout.tau]
         other = refined_from(start)
         if other.cost < best.cost:
             best = other
@@ -344,18 +344,19 @@ def _finish(
     )
     theta, success = found.theta, found.success
     # trf stays inside its box, so an estimate that belongs on the bound stops short of it
-    if layout.one_sensor and low[0] < theta[0] < 0.03 * rise:
+    tau, least = layout.tau, low[layout.tau]
+    if layout.one_sensor and least < theta[tau] < 0.03 * rise:
         held = theta.copy()
-        held[layout.all_switches] += held[0] - low[0]
-        held[0] = low[0]
+        held[layout.all_switches] += held[tau] - least
+        held[tau] = least
         free = np.ones(len(theta), dtype=bool)
-        free[0] = False
+        free[tau] = False
         bound = count.refine(problem, points, np.clip(held, low, high), low, high, free)
         if bound.cost <= found.cost + 1e-4 * noise:
             theta, success = bound.theta, bound.success
-            theta[0] = low[0]
+            theta[tau] = least
     # rounding of the square root
-    theta[0] = low[0] if abs(theta[0] - low[0]) < 1e-9 * low[0] else theta[0]
+    theta[tau] = least if abs(theta[tau] - least) < 1e-9 * least else theta[tau]
     return theta, success
 
 
@@ -430,9 +431,10 @@ def _fit_euler(
     interval = max(e.interval for e in campaign)
     flow = max(e.total_flow for e in campaign)
     least = 1.05 * interval * np.array([1.0, 1.0, flow])
-    low[:3] = np.maximum(low[:3], least)
-    high[:3] = np.maximum(high[:3], 2.0 * low[:3])
-    rise = typical_rise(looks, 0.3 * float(high[0]))
+    shared = layout.shared[0]
+    low[shared] = np.maximum(low[shared], least)
+    high[shared] = np.maximum(high[shared], 2.0 * low[shared])
+    rise = typical_rise(looks, 0.3 * float(high[layout.tau]))
     points = mesh_points(problem, theta, *around(layout, theta, rise))
     start = np.clip(theta, low, high)
     found = count.refine(problem, points, start, low, high, max_evaluations=40)
@@ -450,8 +452,8 @@ def _fit_euler(
     final = count.refine(problem, points, snapped, low, high, free, max_evaluations=40)
     result = final.theta
     result[edges] = snapped[edges]
-    if result[0] > result[1]:
-        result[0], result[1] = result[1], result[0]
+    lags = [layout.tau, layout.index("tau_v_s")]
+    result[lags] = np.sort(result[lags])
     return result, final.success
 
 

@@ -29,7 +29,7 @@ def likelihood_maximum(
     """
     vector = np.clip(vector, low, high)
     mesh = _mesh(problem, vector, low)
-    vector[0] = mesh.reference[0]
+    vector[problem.layout.tau] = mesh.reference[problem.layout.tau]
     search = _Search(mesh, Coordinates(problem), low, high)
     value, damping = mesh.log_likelihood(vector), 1e-6
     information = search.information(vector)

@@ -27,7 +27,6 @@ from bayes_sensor.fit.misfit import TOLERATED
 from bayes_sensor.fit.refinement import refine, with_noise
 from bayes_sensor.fit.starts import limits
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.rig import Rig
 from bayes_sensor.rig.stages import KINDS
 from bayes_sensor.workers import one_thread
@@ -73,8 +72,7 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     neither a lag nor a volume, or the fit has no step or no noise to judge by.
     """
     problem = as_problem(campaign)
-    model = problem.model
-    plain = type(model) is Cascade and model.method == "exact" and not problem.held
+    plain = problem.chain == "exact" and not problem.held
     plain = plain and not problem.campaign.ties
     kinds = [stage.kind.name for stage in problem.layout.rig.stages]
     if not plain or fit.cannot_tell or not fit.step_seen or not set(kinds) <= set(KINDS_COUNTED):

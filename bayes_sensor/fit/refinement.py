@@ -15,7 +15,7 @@ from bayes_sensor.fit.block_averages import Points, joined
 from bayes_sensor.fit.euler import euler_slopes
 from bayes_sensor.likelihood.mesh import Region, compress, mean_derivatives
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade, response_slopes
+from bayes_sensor.rig.cascade import response_slopes
 from bayes_sensor.rig.layout import Layout
 
 
@@ -34,7 +34,7 @@ class Squares:
         self.problem, self.points = problem, points
         self.layout: Layout = problem.layout
         self.straight = straight and self.layout.one_sensor
-        self.edges = self.layout.all_switches
+        self.edges, self.tau = self.layout.all_switches, self.layout.tau
         self.starts = np.array([float(e.t[0]) for e in problem.campaign])
         begin = np.zeros(self.layout.n_mean)
         for k, start in enumerate(self.starts):
@@ -46,8 +46,7 @@ class Squares:
         self.n_evaluations = 0
         self._at: bytes = b""
         self._last: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty((0, 0)))
-        model = problem.model
-        self.kind = "general" if type(model) is not Cascade else model.method
+        self.chain = problem.chain
 
     def coordinates(self, theta: FloatArray) -> FloatArray:
         """From (tau, .., t0, tf, ..) to the refinement's coordinates."""
@@ -57,16 +56,16 @@ class Squares:
         p[y0] = (p[y0] - self.levels) / self.unit
         p[beta] /= self.unit
         if self.straight:
-            p[self.edges] += p[0]
-            p[0] = p[0] ** 2
+            p[self.edges] += p[self.tau]
+            p[self.tau] = p[self.tau] ** 2
         return p
 
     def _own(self, p: FloatArray) -> FloatArray:
         """(tau, .., t0, tf, ..) with time and signal as the coordinates count them."""
         theta = np.array(p, dtype=float)
         if self.straight:
-            theta[0] = sqrt(max(theta[0], 0.0))
-            theta[self.edges] -= theta[0]
+            theta[self.tau] = sqrt(max(theta[self.tau], 0.0))
+            theta[self.edges] -= theta[self.tau]
         return theta
 
     def theta(self, p: FloatArray) -> FloatArray:
@@ -83,12 +82,12 @@ class Squares:
         e = self.problem.campaign.experiments[k]
         part = slice(self.points.first[k], self.points.first[k + 1])
         i_y0, i_beta = (int(i) for i in self.layout.local[k, :2])
-        if self.kind == "general":
+        if self.chain is None:
             return self._block_general(self.theta(p), k, part)
         theta, t = self._own(p), self.points.t[part] - self.starts[k]
         y = (self.points.y[part] - self.levels[k]) / self.unit
         y0, beta = theta[i_y0], theta[i_beta]
-        if self.kind == "exact":
+        if self.chain == "exact":
             t, theta = self._on_clock(t, theta, k)
             x, index, slopes = response_slopes(t, theta, self.layout, k, e.total_flow)
         else:
@@ -101,7 +100,7 @@ class Squares:
         J[:, n + 1] = x
         J[:, n + 2 :] = beta * slopes[:, n:]
         if self.straight:
-            J[:, 0] = (J[:, 0] - J[:, n + 2 :].sum(axis=1)) / (2.0 * theta[0])
+            J[:, 0] = (J[:, 0] - J[:, n + 2 :].sum(axis=1)) / (2.0 * theta[self.tau])
         return y0 + beta * x - y, J, columns
 
     def _on_clock(self, t: FloatArray, theta: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -123,7 +122,7 @@ class Squares:
         columns = [int(i) if i < layout.n_mean else int(i) - n_noise for i in index]
         if self.straight:
             switches = [row for row, i in enumerate(columns) if i in self.edges]
-            slopes[0] = (slopes[0] - slopes[switches].sum(axis=0)) / (2.0 * theta[0])
+            slopes[0] = (slopes[0] - slopes[switches].sum(axis=0)) / (2.0 * theta[self.tau])
         return (mean - self.points.y[part]) / self.unit, slopes.T, columns
 
     def evaluate(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -257,7 +256,7 @@ def mesh_points(problem: Problem, theta: FloatArray, low: FloatArray, high: Floa
 
     ``low`` and ``high`` (n_mean,): limits of the mean's parameters; extra parameters have none.
     """
-    if type(problem.model) is Cascade:
+    if problem.chain is not None:
         problem = Problem(problem.campaign, noise=problem.noise)
     layout = problem.layout
     vector = with_noise(layout, theta)  # sums of squares do not depend on the noise
@@ -279,7 +278,8 @@ def around(layout: Layout, theta: FloatArray, rise: float) -> tuple[FloatArray, 
     low[:shared], high[:shared] = 0.5 * theta[:shared], 2.0 * theta[:shared]
     room = 0.05 * rise
     if layout.one_sensor:
-        low[0], high[0] = 0.0, max(2.0 * theta[0], room)
-        room = max(theta[0], room)
+        tau = float(theta[layout.tau])
+        low[layout.tau], high[layout.tau] = 0.0, max(2.0 * tau, room)
+        room = max(tau, room)
     low[edges], high[edges] = theta[edges] - room, theta[edges] + room
     return low, high

@@ -69,7 +69,7 @@ class Estimates:
                 float(np.delete(layout.taus(vector, k, e.total_flow), layout.rig.sensor_lag).min())
                 for k, e in enumerate(problem.campaign)
             )
-            vector[0] = max(vector[0], 0.02 * fastest)
+            vector[layout.tau] = max(vector[layout.tau], 0.02 * fastest)
         squares: FloatArray = apart_squares(commuting.lags(vector) ** 2)
         to_lag = np.array(commuting.to_lag)
         vector[places] = np.sqrt(squares) / to_lag

@@ -28,7 +28,7 @@ from bayes_sensor.likelihood.noise import (
     simulate_noise,
 )
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade, pulse, response
+from bayes_sensor.rig.cascade import pulse, response
 from bayes_sensor.rig.chain import chain_response
 from bayes_sensor.rig.layout import Theta
 
@@ -132,7 +132,7 @@ def experiment_log_likelihood(
         return -np.inf
     phi, phi_reference, _, _ = noise
     values, steps = e.values if y is None else y, problem.steps(e)
-    if is_affine(problem):  # from its own level a signal far from zero keeps its digits
+    if problem.is_affine:  # from its own level a signal far from zero keeps its digits
         i_y0 = problem.layout.local[k, 0]
         values, vector = values - vector[i_y0], vector.copy()
         vector[i_y0] = 0.0
@@ -154,7 +154,7 @@ def over_levels(
     own[i_y0] = raised[i_y0] = 0.0  # from its own level a signal far from zero keeps its digits
     raised[i_beta] += unit
     mean, s2 = mean_and_variance(problem, own, k)
-    if has_plain_mean(problem) and own[i_beta] != 0.0:
+    if problem.has_plain_mean and own[i_beta] != 0.0:
         slope = unit / own[i_beta] * mean
     else:
         slope = mean_on_grid(problem, raised, k) - mean
@@ -179,28 +179,16 @@ def mean_and_response(
         mean, x = together(t, vector, layout, e)
         return mean, x
     x = model.response(t, vector, layout, e)
-    if has_plain_mean(problem):
+    if problem.has_plain_mean:
         y0, beta = vector[layout.local[layout.place_of(e.name), :2]]
         return y0 + beta * x, x
     return model.mean(t, vector, layout, e), x
 
 
-def has_plain_mean(problem: Problem) -> bool:
-    """Whether the mean is y0 + beta x with x the model's response."""
-    model = problem.model
-    return type(model).mean is Cascade.mean and not hasattr(model, "mean_and_response")
-
-
-def is_affine(problem: Problem) -> bool:
-    """Whether the mean is y0 + beta a(t) + b(t) with a, b and the response free of both."""
-    model = problem.model
-    return bool(getattr(model, "affine", type(model).mean is Cascade.mean))
-
-
 def mean_on_grid(problem: Problem, vector: FloatArray, k: int) -> FloatArray:
     """Mean (n_t,) V of experiment number ``k`` on its grid."""
-    e, model = problem.campaign.experiments[k], problem.model
-    if type(model) is Cascade and model.method == "exact":
+    e = problem.campaign.experiments[k]
+    if problem.chain == "exact":
         y0, beta = vector[problem.layout.local[k, :2]]
         mean = response_at_samples(problem, vector, k)
         mean *= beta
@@ -213,11 +201,11 @@ def mean_and_variance(
     problem: Problem, vector: FloatArray, k: int
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (n_t,) V and noise variance (n_t,) V^2 of experiment number ``k`` on its grid."""
-    layout, model = problem.layout, problem.model
+    layout = problem.layout
     e = problem.campaign.experiments[k]
     _, sigma0, sigma1 = vector[layout.noise[k]]
     law = problem.noise.weight(problem.campaign, e), problem.noise.fading
-    if type(model) is Cascade and model.method == "exact":
+    if problem.chain == "exact":
         y0, beta = vector[layout.local[k, :2]]
         x = response_at_samples(problem, vector, k)
         return y0 + beta * x, scale_squared(x, sigma0, sigma1, *law)

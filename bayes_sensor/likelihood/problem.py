@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
 from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.default_priors import default_priors
-from bayes_sensor.likelihood.noise import (
-    Noise,
-)
+from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.priors import KINDS, Prior
-from bayes_sensor.rig.cascade import (
-    Cascade,
-)
+from bayes_sensor.rig.cascade import Cascade, has_own_mean, method_of_chain
 from bayes_sensor.rig.lags import Assignment, Commuting, Naming, assignments
 from bayes_sensor.rig.layout import Layout, Theta, check_name
 
@@ -54,6 +50,22 @@ class Problem:
     held: Mapping[str, float] = field(default_factory=dict)
     """parameters of the mean that have a value and are neither fitted nor sampled, by flat name of
     their place in theta (:func:`bayes_sensor.likelihood.held_values.held_values`)"""
+
+    @cached_property
+    def chain(self) -> str | None:
+        """How the response of the rig's chain is computed, ``exact`` or ``euler``; None where the
+        model is another one than the chain alone."""
+        return method_of_chain(self.model)
+
+    @cached_property
+    def has_plain_mean(self) -> bool:
+        """Whether the mean is y0 + beta x with x the model's response."""
+        return not (has_own_mean(self.model) or hasattr(self.model, "mean_and_response"))
+
+    @cached_property
+    def is_affine(self) -> bool:
+        """Whether the mean is y0 + beta a(t) + b(t) with a, b and the response free of both."""
+        return bool(getattr(self.model, "affine", not has_own_mean(self.model)))
 
     @cached_property
     def layout(self) -> Layout:
@@ -154,7 +166,7 @@ class Problem:
         place = self.naming().place("sensor")
         if place is None:
             lags = self.commuting.lags(self.commuting.by_size(theta))
-            place = int(np.argmin(np.abs(lags - theta[0])))
+            place = int(np.argmin(np.abs(lags - theta[self.layout.tau])))
         return self.lag_priors[place]
 
     @cached_property

@@ -265,9 +265,11 @@ def _with_tau_above_zero(
     below the fit would end in the mode in which all is noise.
     """
 
+    tau = coordinates.problem.layout.tau
+
     def lifted(lowest: float) -> FloatArray:
         theta = given.copy()
-        theta[0] = max(theta[0], lowest)
+        theta[tau] = max(theta[tau], lowest)
         return _ready(coordinates.problem, theta)
 
     theta = _ready(coordinates.problem, given)
@@ -279,7 +281,7 @@ def _with_tau_above_zero(
     allowed = 0.5 * len(coordinates.free)
     for _ in range(HALVINGS):
         theta = lifted(lowest)
-        if objective(coordinates.psi(theta)) >= best - allowed or lowest <= given[0]:
+        if objective(coordinates.psi(theta)) >= best - allowed or lowest <= given[tau]:
             break
         lowest *= 0.5
     return theta
@@ -338,7 +340,8 @@ def covering_region(
         a, b = thetas[:, i].min(), thetas[:, i].max()
         low[i], high[i] = a - spare * (b - a), b + spare * (b - a)
     if layout.one_sensor:
-        low[0], high[0] = 0.0, (1.0 + spare) * thetas[:, 0].max()
+        tau = layout.tau
+        low[tau], high[tau] = 0.0, (1.0 + spare) * thetas[:, tau].max()
     for i in rest:
         low[i] = max(low[i], 0.2 * laplace.theta[i])
     for i in extra:

@@ -35,6 +35,6 @@ def covered(compressed: Compressed, thetas: FloatArray) -> Compressed:
             low[i], high[i] = prior.a - 1e-9, prior.b + 1e-9
     rest = slice(int(layout.one_sensor), layout.n_shared)
     if layout.one_sensor:
-        low[0] = 0.0
+        low[layout.tau] = 0.0
     low[rest] = np.maximum(low[rest], 0.5 * least[rest])
     return Compressed(problem, compressed.reference, Region(low, high, region.fineness))

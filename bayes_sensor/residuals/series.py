@@ -16,7 +16,6 @@ from bayes_sensor.likelihood.density import mean_and_variance, response_at_sampl
 from bayes_sensor.likelihood.noise import lag_coefficient
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.residuals.autocorrelation import power, whiten
-from bayes_sensor.rig.cascade import Cascade
 
 QUICK_SHARE = 40
 """of a record, as one over this, above which residuals are slow"""
@@ -44,7 +43,7 @@ class Series:
         r = e.values[used] - mean[used]
         s = np.sqrt(s2[used])
         phi = lag_coefficient(float(vector[problem.layout.noise[k, 0]]), problem.steps(e))
-        if type(problem.model) is Cascade and problem.model.method == "exact":
+        if problem.chain == "exact":
             x = response_at_samples(problem, vector, k)
         else:
             x = problem.model.response(e.t, vector, problem.layout, e)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,6 +166,16 @@ class Cascade:
         jacobian[:, i_y0] = 1.0
         jacobian[:, i_beta] = x
         return jacobian
+
+
+def has_own_mean(model: Any) -> bool:
+    """Whether a model's mean is another one than :meth:`Cascade.mean`."""
+    return type(model).mean is not Cascade.mean
+
+
+def method_of_chain(model: Any) -> str | None:
+    """The method of a model that is a :class:`Cascade` and no more; None for any other."""
+    return model.method if type(model) is Cascade else None
 
 
 def response(

@@ -220,9 +220,19 @@ class Layout:
         """
         return self.rigs[k].taus(theta[self.shared[k]], flow)
 
+    def lags(self, theta: FloatArray, k: int, flow: float) -> FloatArray:
+        """:meth:`taus` without a check: a lag may be zero."""
+        return self.rigs[k].lags(theta[self.shared[k]], flow)
+
     def slowest(self, theta: FloatArray, k: int, flow: float) -> float:
-        """s, the longest of :meth:`taus`; a lag may be zero here."""
-        return float(self.rigs[k].lags(theta[self.shared[k]], flow).max())
+        """s, the longest of :meth:`lags`."""
+        return float(self.lags(theta, k, flow).max())
+
+    @property
+    def tau(self) -> int:
+        """Position in theta of the first lag: ``tau_s``, or the first sensor's where each has its
+        own; in a fit or a posterior the shortest of the lags that may be exchanged."""
+        return 0
 
     @property
     def one_sensor(self) -> bool:

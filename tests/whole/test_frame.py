@@ -263,6 +263,66 @@ def test_a_circle_of_imports_is_seen() -> None:
     assert not circles(import_graph({k: v for k, v in sources.items() if k != "rig.b"}))
 
 
+# --- the rig is told, not assumed
+
+KERNELS_OF_THE_PUBLISHED_CHAIN = ("node_response", "cascade_kernels")
+"""compiled for one pulse through valve, manifold and sensor, in that rig's order of theta"""
+
+
+def assumptions_about_the_rig(source: str) -> list[str]:
+    """Where `source` counts on a parameter's position in theta, or on one type of model."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Subscript):
+            owner = node.value
+            name = getattr(owner, "id", getattr(owner, "attr", ""))
+            inside = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+            if name in ("theta", "thetas", "vector") and any(
+                isinstance(each, ast.Constant) and isinstance(each.value, int) for each in inside
+            ):
+                found.append(f"{node.lineno}: {ast.unparse(node)}; take positions from the layout")
+        if isinstance(node, (ast.Compare, ast.Call)):
+            asks = isinstance(node, ast.Compare) or getattr(node.func, "id", "") == "isinstance"
+            words = {getattr(each, "id", "") for each in ast.walk(node)}
+            if asks and "Cascade" in words and words & {"type", "isinstance"}:
+                found.append(f"{node.lineno}: {ast.unparse(node)}; ask Problem.chain")
+    return found
+
+
+def test_nobody_but_the_rig_knows_positions_in_theta_or_types_of_model() -> None:
+    faults = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        if room_of(file) in ("rig", "blind_check") or file.stem in KERNELS_OF_THE_PUBLISHED_CHAIN:
+            continue  # the examiner has numerics of its own
+        where = file.relative_to(ROOT).as_posix()
+        faults += [
+            f"{where}:{fault}"
+            for fault in assumptions_about_the_rig(file.read_text(encoding="utf-8"))
+        ]
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "tau = theta[0]",
+        "self.theta[1] = 2.0",
+        "thetas[:, 0]",
+        "a.reference if vector[2] else 0",
+        "type(problem.model) is Cascade",
+        "if type(model) is not Cascade: pass",
+        "isinstance(model, Cascade)",
+    ],
+)
+def test_an_assumption_about_the_rig_is_seen(source: str) -> None:
+    assert len(assumptions_about_the_rig(source)) == 1
+
+
+def test_a_named_place_is_left_alone() -> None:
+    source = "theta[layout.tau]; theta[: layout.n_mean]; rows[0]; isinstance(x, Campaign)"
+    assert not assumptions_about_the_rig(source)
+
+
 def test_no_two_files_have_one_name() -> None:
     names = [file.name for file in PACKAGE.rglob("*.py") if file.name != "__init__.py"]
     twice = {name for name in names if names.count(name) > 1}

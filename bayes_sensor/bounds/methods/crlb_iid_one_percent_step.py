@@ -32,15 +32,17 @@ def crlb_iid_one_percent_step(evidence: Evidence) -> Bound:
     if not problem.layout.is_published:
         reason = "the paper's recipe is for its own rig, with one pulse a record"
         return Bound.without_values(names, evidence.estimate, reason)
-    fastest = min(theta[1], *(theta[2] / e.total_flow for e in campaign))
-    if theta[0] < 2.0 * longest and fastest > 2.0 * longest:
-        theta[0] = 2.0 * longest
+    layout = problem.layout
+    tau, tau_v, volume = (layout.index(name) for name in ("tau_s", "tau_v_s", "V_mL"))
+    fastest = min(theta[tau_v], *(theta[volume] / e.total_flow for e in campaign))
+    if theta[tau] < 2.0 * longest and fastest > 2.0 * longest:
+        theta[tau] = 2.0 * longest
         sentences.append("taken at tau of two sampling intervals, below which Euler is unstable")
     elif fastest <= 2.0 * longest:
         method = "exact"
-        theta[0] = max(theta[0], 1e-3 * fastest)
+        theta[tau] = max(theta[tau], 1e-3 * fastest)
         sentences.append("closed form in place of Euler, which is unstable at this interval")
-    n = len(evidence.problem.layout.mean_names)
+    n = layout.n_mean
     bound = cramer_rao(campaign, theta[:n], evidence.fit.rms, STEP, method)
     sd = np.full(len(names), np.nan)
     sd[:n] = np.where(np.isfinite(bound.sd), bound.sd, np.nan)

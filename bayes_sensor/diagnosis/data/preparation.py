@@ -46,7 +46,7 @@ def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArra
     found = []
     for k, e in enumerate(campaign):
         i_y0, i_beta, i_t0, i_tf = layout.local[k]
-        taus = np.array([theta[1], theta[2] / e.total_flow, theta[0]])
+        taus = layout.lags(theta, k, e.total_flow)
         tf = float(theta[i_tf]) if i_tf >= 0 else None
         x = grid_response(e, taus, float(theta[i_t0]), tf)
         found.append(np.where(e.used, e.values - theta[i_y0] - theta[i_beta] * x, 0.0))
@@ -56,20 +56,21 @@ def full_rate_residuals(campaign: Campaign, theta: FloatArray) -> list[FloatArra
 def base_coordinates(campaign: Campaign, theta: FloatArray) -> FloatArray:
     """Coordinates of the fit without effects at a flat ``theta``, tau and tau_v in either order."""
     layout = Layout.of(campaign)
-    tau, tau_v = sorted((float(theta[0]), float(theta[1])))
+    *lags, volume = theta[layout.shared[0]].tolist()
+    tau, tau_v = sorted(lags)
     tau = max(tau, 1e-4 * tau_v)
     x = np.array(theta[: layout.n_mean], dtype=float)
     x[1] = log(tau_v)
     x[0] = max(x[1] - FASTER - log(tau), 0.0)
-    x[2] = log(theta[2])
+    x[2] = log(volume)
     return x
 
 
 def flat_theta(campaign: Campaign, x: FloatArray) -> FloatArray:
     """The flat ``theta``, lags by size, of the mean at coordinates of the fit without effects."""
     theta = np.array(x, dtype=float)
-    theta[0] = np.exp(x[1] - FASTER - x[0])
-    theta[1], theta[2] = np.exp(x[1]), np.exp(x[2])
+    shared = Layout.of(campaign).shared[0]
+    theta[shared] = np.exp([x[1] - FASTER - x[0], x[1], x[2]])
     return theta
 
 
@@ -121,7 +122,7 @@ class PreparedCampaign:
         made = []
         for k, (e, r) in enumerate(zip(campaign, self.residuals, strict=True)):
             i_y0, i_beta, i_t0, i_tf = layout.local[k]
-            taus = _taus(self.theta, e.total_flow)
+            taus = layout.lags(self.theta, k, e.total_flow)
             tf = float(self.theta[i_tf]) if i_tf >= 0 else None
             n = int(max((e.t[-1] - e.t[0]) / max(FINE, e.interval), 1.0)) + 2
             grid = np.linspace(float(e.t[0]), float(e.t[-1]), n)
@@ -141,11 +142,6 @@ FINE = 0.005
 """s, steps in which two means are compared at full rate"""
 
 
-def _taus(theta: FloatArray, flow: float) -> FloatArray:
-    """(3,) s, the longer lag, the manifold's, the shorter lag of a flat theta."""
-    return np.array([theta[1], theta[2] / flow, theta[0]])
-
-
 def prepare(
     campaign: Campaign, theta: FloatArray, naming: Naming | None = None
 ) -> PreparedCampaign:
@@ -163,8 +159,10 @@ def prepare(
     x = base_coordinates(campaign, theta)
     flat = flat_theta(campaign, x)
     raw = full_rate_residuals(campaign, flat)
-    taus = [_taus(flat, e.total_flow) for e in campaign]
-    scale = float(max(flat[1], np.median([t[1] for t in taus])))
+    # the longer lag, the manifold's, the shorter lag
+    taus = [layout.lags(flat, k, e.total_flow) for k, e in enumerate(campaign)]
+    longer, through_manifold, _ = np.median(taus, axis=0).tolist()
+    scale = max(longer, through_manifold)
     switches = []
     for k in range(len(campaign)):
         _, _, i_t0, i_tf = layout.local[k]
@@ -180,10 +178,11 @@ def prepare(
     centre, sd = _plausible(campaign, flat, names), _spread(campaign, names)
     flow = float(np.median([e.total_flow for e in campaign]))
     interval = float(np.median([e.interval for e in campaign]))
-    tau_v = float(flat[0 if lags[0] == "tau_v_s" else 1])
-    if flat[2] < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
+    shorter, longer, volume = flat[layout.shared[0]].tolist()
+    tau_v = shorter if lags[0] == "tau_v_s" else longer
+    if volume < NO_VOLUME * tau_v * flow and "V_mL" not in campaign.side_information:
         sd[2] = ANY_VOLUME
-        if not (campaign.same_flow and flat[2] < interval * flow):
+        if not (campaign.same_flow and volume < interval * flow):
             # no rig is without a manifold: the fit has bent it away to do some effect's work; but
             # at one flow, what one sampling interval hides is where the fit has it
             centre[2] = log(0.5 * tau_v * flow)
@@ -330,7 +329,8 @@ def _by_name(theta: FloatArray, naming: Naming) -> tuple[FloatArray, tuple[str, 
 
 
 def _plausible(campaign: Campaign, theta: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    centre = np.array([log(SHORTER_OVER_LONGER * theta[1]), log(theta[1]), log(theta[2])])
+    _, longer, volume = theta[Layout.of(campaign).shared[0]].tolist()
+    centre = np.array([log(SHORTER_OVER_LONGER * longer), log(longer), log(volume)])
     given = campaign.side_information
     for i, name in enumerate(names):
         if name in given and given[name].mean > 0:

@@ -21,7 +21,7 @@ from bayes_sensor.diagnosis.effects.rig_view import RigView, check_settings, coa
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade, local_parameters
+from bayes_sensor.rig.cascade import local_parameters
 from bayes_sensor.rig.experiment_kernel import NEVER, ExperimentKernel
 from bayes_sensor.rig.lags import Assignment, Commuting
 from bayes_sensor.rig.layout import Layout
@@ -121,9 +121,9 @@ class Scales:
             layout = Layout.of(campaign)
             if not layout.is_published:
                 return cls._of_chain(layout, theta, campaign, duration, before)
-            slow = max(float(theta[0]), float(theta[1]))
+            tau, tau_v, volume = theta[layout.shared[0]].tolist()
             steps = [abs(float(theta[row[1]])) for row in layout.local]
-            time_scale, signal = max(slow, float(theta[2]) / flow), float(np.median(steps))
+            time_scale, signal = max(tau, tau_v, volume / flow), float(np.median(steps))
             return cls(time_scale, flow, signal, duration, before)
         from bayes_sensor.likelihood.rise_time import fastest_rise
 
@@ -381,7 +381,7 @@ def with_effects(
     chosen: list[Chosen] = []
     if isinstance(problem.model, EffectModel):
         chosen += problem.model.chosen
-    elif type(problem.model) is not Cascade:
+    elif problem.chain is None:
         raise CampaignError("effects can only be added to the cascade; this problem has a model of "
                             "its own: start from Problem(campaign)")  # fmt: skip
     for effect in effects:

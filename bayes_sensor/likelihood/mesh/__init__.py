@@ -17,16 +17,15 @@ from bayes_sensor.likelihood.mesh.mean_derivatives import mean_derivatives, size
 from bayes_sensor.likelihood.mesh.mesh_arrays import Arrays, K
 from bayes_sensor.likelihood.mesh.mesh_region import NO_NOISE, default_region
 from bayes_sensor.likelihood.mesh.reduce_campaign import (
-    NO_TAU,
     above_zero,
     compress,
     expected_information,
+    fastest_beside_tau,
     log_likelihood,
 )
 
 __all__ = [
     "NO_NOISE",
-    "NO_TAU",
     "Arrays",
     "Compressed",
     "K",
@@ -37,6 +36,7 @@ __all__ = [
     "compress",
     "default_region",
     "expected_information",
+    "fastest_beside_tau",
     "lagrange",
     "log_likelihood",
     "mean_derivatives",

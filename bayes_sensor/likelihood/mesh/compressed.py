@@ -14,8 +14,6 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
-    has_plain_mean,
-    is_affine,
     mean_and_response,
     noise_in_range,
     over_levels,
@@ -26,7 +24,7 @@ from bayes_sensor.likelihood.mesh.mean_derivatives import height, mean_derivativ
 from bayes_sensor.likelihood.mesh.mesh_arrays import K, make_room
 from bayes_sensor.likelihood.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade, response_slopes
+from bayes_sensor.rig.cascade import response_slopes
 from bayes_sensor.rig.layout import Theta
 
 
@@ -50,9 +48,8 @@ def is_cascade(problem: Problem) -> bool:
     """Whether the compiled response may stand for the model: a chain of single lags and switches,
     not a recorded input."""
     layout = problem.layout
-    plain = type(problem.model) is Cascade and problem.model.method == "exact"
     switched = all(each.recorded is None for each in layout.switching)
-    return plain and switched and set(layout.rig.kinds) <= {"lag", "volume"}
+    return problem.chain == "exact" and switched and set(layout.rig.kinds) <= {"lag", "volume"}
 
 
 def _slope_of_lag(phi: float, steps: float) -> float:
@@ -312,19 +309,19 @@ class Compressed:
             trial[i_beta] += w * unit
             return trial
 
-        if not inside and is_affine(problem):
+        if not inside and problem.is_affine:
             return over_levels(problem, vector, k, unit)
         if not inside:
             return lambda u, w: experiment_log_likelihood(problem, moved(u, w), k)
         noise = noise_in_range(problem, vector, k)
         if noise is None:
             return lambda u, w: -np.inf
-        if not is_affine(problem):
+        if not problem.is_affine:
             return lambda u, w: self._general(moved(u, w), k)
         e, t, known = problem.campaign.experiments[k], self._times(k), noise
         mean, x = mean_and_response(problem, vector, e, t)
         slope = unit * x
-        if not has_plain_mean(problem):
+        if not problem.has_plain_mean:
             slope = mean_and_response(problem, moved(0.0, 1.0), e, t)[0] - mean
         return lambda u, w: self._density(k, known, mean + (u * unit + w * slope), x)
 
@@ -443,7 +440,7 @@ class Compressed:
         problem = self.problem
         layout = problem.layout
         e = problem.campaign.experiments[k]
-        if type(problem.model) is not Cascade or problem.model.method != "exact":
+        if problem.chain != "exact":
             return self._scaled_numerically(vector, k, t)
         i_y0, i_beta = layout.local[k, :2]
         x, index, slopes = response_slopes(t, vector, layout, k, e.total_flow)

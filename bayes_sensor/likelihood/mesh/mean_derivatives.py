@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.likelihood.density import has_plain_mean, is_affine, mean_and_response
+from bayes_sensor.likelihood.density import mean_and_response
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import Cascade, response_slopes
+from bayes_sensor.rig.cascade import response_slopes
 
 
 def mean_derivatives(
@@ -26,7 +26,7 @@ def mean_derivatives(
     layout = problem.layout
     e = problem.campaign.experiments[k]
     i_y0, i_beta = (int(i) for i in layout.local[k, :2])
-    if type(problem.model) is Cascade and problem.model.method == "exact":
+    if problem.chain == "exact":
         x, index, slopes = response_slopes(t, vector, layout, k, e.total_flow, interval)
         d_x = np.zeros((len(index) + 2, len(t)))
         d_x[:-2] = slopes.T
@@ -42,9 +42,9 @@ def mean_derivatives(
         if name.endswith("]") and not name.endswith(f"[{e.name}]"):
             continue  # another experiment's own parameter
         moves[i] = _extra_step(problem.priors.get(name), float(vector[i]))
-    plain = has_plain_mean(problem)
+    plain = problem.has_plain_mean
     if not plain:
-        size = (1.0 if is_affine(problem) else 1e-3) * height(problem, vector, k)
+        size = (1.0 if problem.is_affine else 1e-3) * height(problem, vector, k)
         moves |= {i: (size, -np.inf, np.inf) for i in (i_y0, i_beta)}
     index = np.array([*moves, *([i_y0, i_beta] if plain else [])])
     d_mean, d_x = np.zeros((len(index), len(t))), np.zeros((len(index), len(t)))

@@ -38,10 +38,10 @@ def default_region(problem: Problem, vector: FloatArray, spread: float = 7.0) ->
     variances = _psi_variances(problem, vector, rough.information(vector))
     tau = tau_high = 0.0
     if layout.one_sensor:
-        tau, fastest = vector[0], min(slowest)
-        sd_square = min(sqrt(variances[0]), fastest**2)
+        tau, fastest = vector[layout.tau], min(slowest)
+        sd_square = min(sqrt(variances[layout.tau]), fastest**2)
         tau_high = min(sqrt(tau**2 + spread * sd_square), max(2.0 * tau, 3.0 * fastest))
-        low[0], high[0] = 0.0, tau_high
+        low[layout.tau], high[layout.tau] = 0.0, tau_high
     for i in range(int(layout.one_sensor), n):
         sd = min(spread * sqrt(variances[i]), 4.0 * vector[i])
         low[i], high[i] = max(vector[i] - sd, 0.2 * vector[i]), vector[i] + sd
@@ -67,10 +67,10 @@ def _psi_variances(problem: Problem, vector: FloatArray, information: FloatArray
     layout = problem.layout
     transform = np.eye(len(vector))  # d theta / d psi
     if layout.one_sensor:
-        longest = float(problem.commuting.lags(vector).max(initial=vector[0]))
-        tau = max(vector[0], 1e-3 * max(longest, 1e-12))
-        transform[0, 0] = 0.5 / tau
-        transform[layout.all_switches, 0] = -0.5 / tau
+        longest = float(problem.commuting.lags(vector).max(initial=vector[layout.tau]))
+        tau = max(vector[layout.tau], 1e-3 * max(longest, 1e-12))
+        transform[layout.tau, layout.tau] = 0.5 / tau
+        transform[layout.all_switches, layout.tau] = -0.5 / tau
     info = transform.T @ information @ transform
     free = np.flatnonzero(np.diag(info) > 0)
     scale = 1.0 / np.sqrt(np.diag(info)[free])

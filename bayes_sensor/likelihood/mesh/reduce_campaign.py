@@ -16,29 +16,32 @@ from bayes_sensor.likelihood.mesh.blocks import Region
 from bayes_sensor.likelihood.mesh.compressed import Compressed
 from bayes_sensor.likelihood.mesh.mesh_region import default_region, narrow_region
 from bayes_sensor.likelihood.problem import Problem, as_problem
-from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.layout import Theta
 
 NO_TAU = 1e-6
 """of the fastest other time constant: a tau that no data tell from zero"""
 
 
-def above_zero(problem: Problem, vector: FloatArray) -> float:
-    """s, theta's first lag of the flat vector (n_theta,); zero raised to a value that no data tell
-    from it."""
-    if vector[0] != 0.0:
-        return float(vector[0])
+def fastest_beside_tau(problem: Problem, vector: FloatArray) -> float:
+    """s, the shortest time constant beside theta's first lag at the flat vector (n_theta,); the
+    shortest sampling interval where there is none."""
     layout, some = problem.layout, vector.copy()
-    some[0] = 1.0
+    some[layout.tau] = 1.0
     others = [
         np.delete(layout.taus(some, k, e.total_flow), layout.rig.sensor_lag)
         for k, e in enumerate(problem.campaign)
     ]
-    fastest = min(
+    return min(
         (float(taus.min()) for taus in others if taus.size),
         default=min(e.interval for e in problem.campaign),
     )
-    return NO_TAU * fastest
+
+
+def above_zero(problem: Problem, vector: FloatArray) -> float:
+    """s, theta's first lag of the flat vector (n_theta,); zero raised to a value that no data tell
+    from it."""
+    tau = float(vector[problem.layout.tau])
+    return tau if tau != 0.0 else NO_TAU * fastest_beside_tau(problem, vector)
 
 
 def compress(
@@ -56,13 +59,13 @@ def compress(
     that is not between -1 and 1 where there is no ``region``, or for forward Euler.
     """
     problem = as_problem(campaign)
-    if type(problem.model) is Cascade and problem.model.method == "euler":
+    if problem.chain == "euler":
         raise CampaignError(
             "forward Euler has its switches on samples and cannot be compressed; "
             "use the exact response, Cascade()"
         )
     vector = problem.flat(theta)
-    vector[0] = above_zero(problem, vector)
+    vector[problem.layout.tau] = above_zero(problem, vector)
     for k, e in enumerate(problem.campaign):
         problem.layout.taus(vector, k, e.total_flow)  # raises where one is not positive
     if np.isnan(vector).any():
@@ -119,6 +122,6 @@ def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
     """
     longest = max(e.interval for e in problem.campaign)
     vector = vector.copy()
-    vector[0] = above_zero(problem, vector)
+    vector[problem.layout.tau] = above_zero(problem, vector)
     region = narrow_region(problem.layout, vector, 2.0 * longest)
     return compress(problem, vector, region).information(vector)

@@ -9,7 +9,6 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
-from bayes_sensor.likelihood.density import is_affine
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
@@ -126,7 +125,7 @@ def run_emcee(given: Target) -> Run:
     problem, settings, seed = given.problem, given.settings, given.seed
     names = problem.layout.names
     # exact only for flat priors and a mean y0 + beta x
-    flat = is_affine(problem) and all(
+    flat = problem.is_affine and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
     target = Marginal(problem, given.compressed, marginalise=flat, both=given.both)
