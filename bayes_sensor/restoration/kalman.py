@@ -99,6 +99,38 @@ def discretise(
 
 
 @compiled(nogil=True)
+def one_after_the_other(
+    first: np.ndarray,
+    transitions: FloatArray,
+    covariances: FloatArray,
+    second: np.ndarray,
+    then: FloatArray,
+    and_covariances: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """What :func:`discretise` gives (n, d, d) for the sums of steps ``first`` and ``second`` (n,),
+    which are places in the ``transitions`` and ``covariances`` of each.
+
+    Q(g + h) = Phi(h) Q(g) Phi(h)' + Q(h), a sum without differences as well.
+    """
+    n, d = len(first), transitions.shape[1]
+    found = np.empty((n, d, d))
+    spread = np.empty((n, d, d))
+    work = np.empty((d, d))
+    for i in range(n):
+        phi, q = then[second[i]], and_covariances[second[i]]
+        _times(phi, transitions[first[i]], found[i])
+        _times(phi, covariances[first[i]], work)
+        for j in range(d):
+            for k in range(j + 1):
+                total = q[j, k]
+                for l in range(d):
+                    total += work[j, l] * phi[k, l]
+                spread[i, j, k] = total
+                spread[i, k, j] = total
+    return found, spread
+
+
+@compiled(nogil=True)
 def run_filter(
     y: FloatArray,
     scale: FloatArray,
@@ -106,20 +138,20 @@ def run_filter(
     transitions: FloatArray,
     covariances: FloatArray,
     start: FloatArray,
-    output: FloatArray,
+    states: tuple[int, ...],
     direct: BoolArray,
     keep: bool,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Log likelihood, innovations (n,) with variances, and what the smoother needs.
 
-    ``y`` (n,): the samples, NaN where none was taken.  Each is ``output`` (d - 1,) times the other
-    states + ``scale`` times the last.  Where ``direct`` (n,) it is the first state, the input, with
-    an error of its own of standard deviation ``scale``.  ``which`` (n,): the step that leads to
-    each sample (the first is not used).
+    ``y`` (n,): the samples, NaN where none was taken.  Each is the last but one of the ``states``
+    (0, .., d - 1) + ``scale`` times the last.  Where ``direct`` (n,) it is the first state, the
+    input, with an error of its own of standard deviation ``scale``.  ``which`` (n,): the step that
+    leads to each sample (the first is not used).
     ``start`` (d, d): covariance of the state at the first sample, its mean is 0.  Without ``keep``
     only the log likelihood and the innovations are filled.
     """
-    n, d = len(y), start.shape[0]
+    n, d = len(y), len(states)
     v = np.full(n, np.nan)
     spread = np.full(n, np.nan)
     kept = n if keep else 1
@@ -138,7 +170,7 @@ def run_filter(
     log_s = 0.0
     settled = False
     log_likelihood = 0.0
-    noise = d - 1
+    said, noise = d - 2, d - 1
     for i in range(n):
         seen = not np.isnan(y[i])
         if i > 0:
@@ -146,23 +178,32 @@ def run_filter(
             same = settled and seen and was_seen and which[i] == which[i - 1]
             same = same and scale[i] == scale[i - 1] and direct[i] == direct[i - 1]
             phi = transitions[which[i]]
-            for j in range(d):
+            for j in range(noise):
                 total = 0.0
-                for k in range(d):
+                for k in range(noise):
                     total += phi[j, k] * filtered[k]
                 a[j] = total
+            a[noise] = phi[noise, noise] * filtered[noise]
             if not same:
                 q = covariances[which[i]]
-                _times(phi, after, work)
+                for k in range(d):  # the noise passes nothing on, and nothing passes on to it
+                    for j in range(noise):
+                        total = 0.0
+                        for l in range(noise):
+                            total += phi[j, l] * after[l, k]
+                        work[j, k] = total
+                    work[noise, k] = phi[noise, noise] * after[noise, k]
                 settled = i > 1 and which[i] == which[i - 1] and seen and was_seen
                 settled = settled and scale[i] == scale[i - 1] and direct[i] == direct[i - 1]
-                for j in range(d):
+                for j in range(noise):
                     for k in range(j + 1):
                         total = q[j, k]
-                        for l in range(d):
+                        for l in range(noise):
                             total += work[j, l] * phi[k, l]
-                        new[j, k] = total
-                        new[k, j] = total
+                        new[j, k] = new[k, j] = total
+                for k in range(noise):
+                    new[noise, k] = new[k, noise] = work[k, noise] * phi[noise, noise]
+                new[noise, noise] = q[noise, noise] + work[noise, noise] * phi[noise, noise]
                 if settled:
                     for j in range(d):
                         for k in range(j + 1):
@@ -190,13 +231,8 @@ def run_filter(
                 s = p[0, 0] + scale[i] * scale[i]
             else:
                 for j in range(d):
-                    total = scale[i] * p[j, noise]
-                    for k in range(noise):
-                        total += p[j, k] * output[k]
-                    pz[j] = total
-                s = scale[i] * pz[noise]
-                for k in range(noise):
-                    s += output[k] * pz[k]
+                    pz[j] = p[j, said] + scale[i] * p[j, noise]
+                s = pz[said] + scale[i] * pz[noise]
             log_s = np.log(2.0 * np.pi * s)
             for j in range(d):
                 gain[j] = pz[j] / s
@@ -206,10 +242,7 @@ def run_filter(
         if direct[i]:
             v[i] = y[i] - a[0]
         else:
-            total = y[i] - scale[i] * a[noise]
-            for k in range(noise):
-                total -= output[k] * a[k]
-            v[i] = total
+            v[i] = y[i] - a[said] - scale[i] * a[noise]
         spread[i] = s
         log_likelihood -= 0.5 * (log_s + v[i] * v[i] / s)
         for j in range(d):
@@ -230,11 +263,11 @@ def run_smoother(
     scale: FloatArray,
     which: np.ndarray,
     transitions: FloatArray,
-    output: FloatArray,
+    states: tuple[int, ...],
     direct: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and variance (n,) of the first state given all samples, from what the filter kept."""
-    n, d = row.shape
+    n, d = len(row), len(states)
     smoothed = np.empty(n)
     variance = np.empty(n)
     r = np.zeros(d)
@@ -244,7 +277,7 @@ def run_smoother(
     work = np.empty((d, d))
     mk = np.empty(d)
     z = np.zeros(d)
-    noise = d - 1
+    said, noise = d - 2, d - 1
     settled = False
     value = 0.0
     for i in range(n - 1, -1, -1):
@@ -252,11 +285,12 @@ def run_smoother(
         same = False
         if i < n - 1:
             phi = transitions[which[i + 1]]
-            for j in range(d):
+            for j in range(noise):
                 total = 0.0
-                for k in range(d):
+                for k in range(noise):
                     total += phi[k, j] * r[k]
                 back[j] = total
+            back[noise] = phi[noise, noise] * r[noise]
             same = (
                 settled
                 and seen
@@ -269,25 +303,27 @@ def run_smoother(
             )
             if not same:
                 for j in range(d):
-                    for k in range(d):
+                    for k in range(noise):
                         total = 0.0
-                        for l in range(d):
+                        for l in range(noise):
                             total += m[j, l] * phi[l, k]
                         work[j, k] = total
-                for j in range(d):
+                for j in range(noise):
                     for k in range(j + 1):
                         total = 0.0
-                        for l in range(d):
+                        for l in range(noise):
                             total += phi[l, j] * work[l, k]
-                        moved[j, k] = total
-                        moved[k, j] = total
+                        moved[j, k] = moved[k, j] = total
+                for k in range(noise):
+                    moved[noise, k] = moved[k, noise] = phi[noise, noise] * work[noise, k]
+                moved[noise, noise] = phi[noise, noise] ** 2 * m[noise, noise]
         if seen:
+            for j in range(d):
+                z[j] = 0.0
             if direct[i]:
-                z[:] = 0.0
                 z[0] = 1.0
             else:
-                z[:noise] = output
-                z[noise] = scale[i]
+                z[said], z[noise] = 1.0, scale[i]
             kr = 0.0
             for j in range(d):
                 kr += gains[i, j] * back[j]

@@ -9,6 +9,7 @@ Solin, *Applied Stochastic Differential Equations* (2019), section 12.3.  The no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,15 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import uniform_filter1d
 
 from bayes_sensor.campaign import BoolArray, FloatArray
-from bayes_sensor.restoration.kalman import discretise, run_filter, run_smoother
+from bayes_sensor.restoration.kalman import (
+    discretise,
+    one_after_the_other,
+    run_filter,
+    run_smoother,
+)
 
+FINE = 128
+"""units of time, of which a long step has a multiple and a rest"""
 ORDERS = (1, 2)
 """orders of the input"""
 TIME_DIGITS = 1e-4, 1e-2
@@ -95,10 +103,12 @@ class FilterSamples:
 
     y: FloatArray
     """(n,) less the record's mean and over its standard deviation; NaN where none was taken"""
-    steps: FloatArray
-    """(n_steps,) s, the distinct times between neighbours"""
+    unit: float
+    """s, of which every time between neighbours is a multiple"""
+    counts: np.ndarray
+    """(n_steps,) of units, the distinct times between neighbours"""
     which: np.ndarray
-    """(n,) the place in ``steps`` of the time before each sample; 0 for the first"""
+    """(n,) the place in ``counts`` of the time before each sample; 0 for the first"""
     level: FloatArray
     """(n,) 0 where the signal is lowest to 1 where it is highest"""
     interval: float
@@ -107,6 +117,11 @@ class FilterSamples:
     """(n,) whether a value is one of the input itself, with an error of its own"""
     error: FloatArray
     """(n,) standard deviation of that error"""
+
+    @cached_property
+    def steps(self) -> FloatArray:
+        """(n_steps,) s, the distinct times between neighbours."""
+        return np.asarray(self.counts * self.unit)
 
     @property
     def t(self) -> FloatArray:
@@ -122,8 +137,9 @@ class FilterSamples:
         """
         return FilterSamples(
             y=np.insert(self.y, places + 1, values),
-            steps=np.append(self.steps, 0.0),
-            which=np.insert(self.which, places + 1, len(self.steps)),
+            unit=self.unit,
+            counts=np.append(self.counts, 0),
+            which=np.insert(self.which, places + 1, len(self.counts)),
             level=np.insert(self.level, places + 1, 0.0),
             interval=self.interval,
             direct=np.insert(self.direct, places + 1, True),
@@ -141,18 +157,35 @@ class FilterSamples:
             return self
         period = int(np.ceil(n * BURST / most))
         kept = np.flatnonzero(np.arange(n) % period < BURST)
-        steps, which = distinct_steps(self.t[kept], self.interval)
+        places = np.concatenate([[0], np.cumsum(self.counts[self.which[1:]])])[kept]
+        counts, which = distinct_steps(places)
         return FilterSamples(
-            self.y[kept], steps, which, self.level[kept], self.interval,
+            self.y[kept], self.unit, counts, which, self.level[kept], self.interval,
             self.direct[kept], self.error[kept],
         )  # fmt: skip
 
-    def _system(self, model: Model) -> tuple[FloatArray, ...]:
+    @cached_property
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Distinct multiples of :data:`FINE` units and distinct rests, and which of them make up
+        each of the steps."""
+        return [np.unique(part, return_inverse=True) for part in np.divmod(self.counts, FINE)]
+
+    def over_steps(self, drift: FloatArray, diffusion: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """:func:`discretise` over all distinct steps, in two parts where these are many."""
+        (long, which_long), (short, which_short) = self._parts
+        if len(long) + len(short) >= len(self.counts):
+            return discretise(drift, diffusion, self.steps)
+        return one_after_the_other(
+            which_long, *discretise(drift, diffusion, long * (FINE * self.unit)),
+            which_short, *discretise(drift, diffusion, short * self.unit),
+        )  # fmt: skip
+
+    def _system(self, model: Model) -> tuple[Any, ...]:
         drift, diffusion, stationary = model.matrices()
         m = len(drift)
-        transitions = np.zeros((len(self.steps), m + 1, m + 1))
-        covariances = np.zeros((len(self.steps), m + 1, m + 1))
-        transitions[:, :m, :m], covariances[:, :m, :m] = discretise(drift, diffusion, self.steps)
+        transitions = np.zeros((len(self.counts), m + 1, m + 1))
+        covariances = np.zeros((len(self.counts), m + 1, m + 1))
+        transitions[:, :m, :m], covariances[:, :m, :m] = self.over_steps(drift, diffusion)
         phi = model.phi ** (self.steps / self.interval)
         transitions[:, m, m], covariances[:, m, m] = phi, 1.0 - phi**2
         start = np.zeros((m + 1, m + 1))
@@ -162,16 +195,14 @@ class FilterSamples:
         start[m, m] = 1.0
         scale = model.sigma * np.sqrt(1.0 + (model.growth * self.level) ** 2)
         scale = np.where(self.direct, self.error, scale)
-        output = np.zeros(m)
-        output[-1] = 1.0
-        return scale, transitions, covariances, start, output
+        return scale, transitions, covariances, start, tuple(range(m + 1))
 
-    def _filter(self, model: Model, keep: bool = False) -> tuple[Any, tuple[FloatArray, ...]]:
+    def _filter(self, model: Model, keep: bool = False) -> tuple[Any, tuple[Any, ...]]:
         """What :func:`run_filter` finds, and the system that it ran on."""
         system = self._system(model)
-        scale, transitions, covariances, start, output = system
+        scale, transitions, covariances, start, states = system
         found = run_filter(
-            self.y, scale, self.which, transitions, covariances, start, output, self.direct, keep
+            self.y, scale, self.which, transitions, covariances, start, states, self.direct, keep
         )
         return found, system
 
@@ -188,9 +219,9 @@ class FilterSamples:
     def smooth(self, model: Model) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (n,) of the input at the record's times, given all samples."""
         (_, v, spread, mean, row, gains), system = self._filter(model, keep=True)
-        scale, transitions, _, _, output = system
+        scale, transitions, _, _, states = system
         m, variance = run_smoother(
-            v, spread, mean, row, gains, scale, self.which, transitions, output, self.direct
+            v, spread, mean, row, gains, scale, self.which, transitions, states, self.direct
         )
         recorded = ~self.direct
         return m[recorded], variance[recorded]
@@ -200,18 +231,21 @@ BURST = 16
 """neighbours in a burst"""
 
 
-def distinct_steps(t: FloatArray, interval: float) -> tuple[FloatArray, np.ndarray]:
-    """Distinct steps of times ``t`` (n,) in s, and the place (n,) of the one before each sample.
+def unit_of_times(t: FloatArray, interval: float) -> float:
+    """s, to which times ``t`` (n,) s are rounded; ``interval``: s, the usual step."""
+    return min(TIME_DIGITS[0] * interval, TIME_DIGITS[1] * float(np.diff(t).min()))
 
-    ``interval``: s, the usual step.  The first sample has no step before it; its place is 0.
 
-    >>> distinct_steps(np.array([0.0, 1.0, 3.0, 4.0 + 1e-7]), 1.0)
-    (array([1., 2.]), array([0, 0, 1, 0]))
+def distinct_steps(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct steps of ``places`` (n,), and which of them (n,) comes before each sample.
+
+    The first sample has no step before it and stands as 0.
+
+    >>> distinct_steps(np.array([0, 1, 3, 4]))
+    (array([1, 2]), array([0, 0, 1, 0]))
     """
-    unit = min(TIME_DIGITS[0] * interval, TIME_DIGITS[1] * float(np.diff(t).min()))
-    places = np.rint((t - t[0]) / unit)
     found, which = np.unique(np.diff(places), return_inverse=True)
-    return found * unit, np.concatenate([[0], which.ravel()]).astype(np.int64)
+    return found, np.concatenate([[0], which.ravel()]).astype(np.int64)
 
 
 def make_samples(
@@ -225,12 +259,15 @@ def make_samples(
     seen = np.isfinite(y)
     mean, spread = float(y[seen].mean()), float(y[seen].std())
     interval = float(np.median(np.diff(t)))
-    steps, which = distinct_steps(t, interval)
+    unit = unit_of_times(t, interval)
+    counts, which = distinct_steps(np.rint((t - t[0]) / unit).astype(np.int64))
     filled = np.interp(t, t[seen], y[seen])
     width = int(np.clip(0.25 * slowest / interval, 1, max(1, len(t) // 8)))
     smooth = uniform_filter1d(filled, width)
     low, high = float(smooth.min()), float(smooth.max())
     level = (smooth - low) / (high - low) if high > low else np.zeros(len(t))
     none = np.zeros(len(t))
-    samples = FilterSamples((y - mean) / spread, steps, which, level, interval, none > 0.0, none)
+    samples = FilterSamples(
+        (y - mean) / spread, unit, counts, which, level, interval, none > 0.0, none
+    )
     return samples, mean, spread

@@ -1,6 +1,7 @@
 """The compiled filter and smoother against a dense Gaussian and against statsmodels."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,9 +19,7 @@ def samples_of(t: np.ndarray, y: np.ndarray, level: np.ndarray | None = None) ->
     """The samples with their mean and spread left out of account."""
     made = make_samples(t, y, slowest=1.0)[0]
     level = np.zeros(len(t)) if level is None else level
-    return FilterSamples(
-        y, made.steps, made.which, level, made.interval, made.direct, made.error
-    )  # fmt: skip
+    return replace(made, y=y, level=level)
 
 
 def irregular(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -144,6 +143,21 @@ def test_discretisation_keeps_its_accuracy_for_short_and_for_stiff_steps() -> No
         np.testing.assert_allclose(phi[i] @ stationary @ phi[i].T + q[i], stationary, atol=1e-11)
     assert np.linalg.eigvalsh(q[0]).min() > -1e-25  # differences of large numbers would be 1e-17
     np.testing.assert_allclose(solve_discrete_lyapunov(phi[1], q[1]), stationary, atol=1e-10)
+
+
+def test_steps_made_of_two_parts_are_those_made_at_once() -> None:
+    """Times without a common step have thousands of distinct ones."""
+    rng = np.random.default_rng(8)
+    steps = np.concatenate([1 + rng.integers(0, 9000, 4000), [10**6, 3 * 10**8]])
+    t = np.concatenate([[0.0], np.cumsum(steps * 1e-3)])
+    samples = samples_of(t, rng.standard_normal(len(t)))
+    assert len(samples.counts) > 2000
+    for order, lags in CHAINS:
+        drift, diffusion, _ = Model(order, 1.3, 4.0, lags, 0.1, 0.0).matrices()
+        phi, q = samples.over_steps(drift, diffusion)
+        one, spread = discretise(drift, diffusion, samples.steps)
+        np.testing.assert_allclose(phi, one, atol=1e-13)
+        np.testing.assert_allclose(q, spread, rtol=1e-9, atol=1e-14)
 
 
 def test_the_input_is_a_matern_process() -> None:
