@@ -37,7 +37,7 @@ def combined(k, mesh, phi, phi_reference, A, B, re, log_s2):
     # log L of one experiment from block sums and standardised residuals of the edge samples
     rest = 1.0 - phi * phi
     squares = (1.0 + phi * phi) * A - 2.0 * phi * B
-    total = mesh.pairs[k] * log(rest) + log_s2 + mesh.n_samples[k] * log(2.0 * pi)
+    total = mesh.totals[k, 1] * log(rest) + log_s2 + mesh.totals[k, 0] * log(2.0 * pi)
     for run in range(mesh.runs[k], mesh.runs[k + 1]):
         a, b = re[run, 0], re[run, 1]
         squares += phi * phi * (a * a - b * b)
@@ -90,7 +90,7 @@ def slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre):
                 slope = distance * phi ** (distance - 1)
                 g_across += d_log * slope * phi_slope(phi, phi_reference, steps)
     g_phi = -0.5 * (d_squares / rest + 2.0 * phi * squares / rest**2)
-    g_phi += mesh.pairs[k] * phi / rest
+    g_phi += mesh.totals[k, 1] * phi / rest
     return g_phi * phi_slope(phi, phi_reference, steps) + g_across
 
 

@@ -82,7 +82,7 @@ def values(thetas, mesh, room, each, inside):
                 mesh.blocks[k], mesh.blocks[k + 1], mesh.moments, mesh.reference, mesh.reference_s2,
                 room.x, room.xl, y0, beta, v0, v1,
             )  # fmt: skip
-            log_s2 = mesh.log_s2[k] + change + edge_log(k, mesh, s2e)
+            log_s2 = mesh.totals[k, 2] + change + edge_log(k, mesh, s2e)
             each[i, k] = combined(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
 
@@ -124,7 +124,7 @@ def value_and_gradient(theta, mesh, room, gradient):
         A, B, change = gradient_sums(
             k, mesh, room, acts, t0, tf, lags, y0, beta, v0, v1, phi, sums, by_on, by_off, unused
         )
-        log_s2 = mesh.log_s2[k] + change + edge_log(k, mesh, s2e)
+        log_s2 = mesh.totals[k, 2] + change + edge_log(k, mesh, s2e)
         total += combined(k, mesh, phi, phi_reference, A, B, re, log_s2)
 
         gradient[i_phi] += slopes_of_edges(k, mesh, phi, phi_reference, A, B, re, gre)
@@ -220,8 +220,8 @@ def marginals(thetas, mesh, room, values, best, factor, inside):
                 first, last, mesh.moments, mesh.reference, mesh.reference_s2,
                 room.x, room.xl, y0, beta, v0, v1, A, B,
             )  # fmt: skip
-            logs = mesh.log_s2[k] + change + mesh.n_samples[k] * log(2.0 * pi)
-            logs += mesh.pairs[k] * log(rest)
+            logs = mesh.totals[k, 2] + change + mesh.totals[k, 0] * log(2.0 * pi)
+            logs += mesh.totals[k, 1] * log(rest)
             for a in range(3):
                 for j in range(a, 3):
                     Q[a, j] = ((1.0 + phi * phi) * A[a, j] - 2.0 * phi * B[a, j]) / rest

@@ -76,6 +76,7 @@ class Compressed:
         self.n_full_passes = 0
         self._room = make_room(self.n_nodes)
         self._each, self._inside = np.zeros((1, len(problem.campaign))), np.zeros(1, dtype=bool)
+        self._parts = self._each[0]
         self._cascade = is_cascade(problem)
         self._known_times: dict[int, FloatArray] = {}
 
@@ -112,7 +113,7 @@ class Compressed:
         vector = self._vector(theta)
         if self._cascade:
             cascade_kernels.values(vector[None], self.arrays, self._room, self._each, self._inside)
-            return sum(self._each[0].tolist()) if self._inside[0] else self._full(vector)
+            return sum(self._parts.tolist()) if self._inside[0] else self._full(vector)
         if not self.covers(vector):
             return self._full(vector)
         return float(sum(self._general(vector, k) for k in range(len(self.problem.campaign))))
@@ -416,7 +417,7 @@ class Compressed:
             info += (1.0 + 1.0 / rest) * uf.T @ uf - phi**2 / rest * ulast.T @ ulast
             i_phi = layout.noise[k, 0]
             slope = _slope_of_lag(phi_reference, steps)
-            info[i_phi, i_phi] += mesh.pairs[k] * (1 + phi**2) / rest**2 * slope**2
+            info[i_phi, i_phi] += mesh.totals[k, 1] * (1 + phi**2) / rest**2 * slope**2
             mixed = -2.0 * phi / rest * slope * (u.T @ count)
             mixed -= phi / rest * slope * (uf.sum(axis=0) - ulast.sum(axis=0))
             for i in range(1, len(f)):

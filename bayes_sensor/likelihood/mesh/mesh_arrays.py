@@ -26,7 +26,8 @@ class Arrays(NamedTuple):
     # least tau that is no delay, the reference's y0 and beta, share of sigma0^2 that fades; y0 is
     # the level that means and edge samples below count from, so that a signal far from zero keeps
     # its digits; input before all switches, number of the first switch and of the next record's
-    n_samples: np.ndarray  # (n_exp,)
+    totals: np.ndarray  # (n_exp, 3) samples, pairs of neighbouring samples, sum of the reference
+    # log s^2 over the blocks' samples
     base: np.ndarray  # (n_blocks,) s, half a sample before the block's first sample
     kind: np.ndarray  # (n_blocks,) 0: pointwise; k: 8 2^k samples
     follows: np.ndarray  # (n_blocks,) whether the block starts where the previous one ends
@@ -34,11 +35,9 @@ class Arrays(NamedTuple):
     moments: np.ndarray  # (5, n_nodes) of 1, d, d_lag, d^2, d d_lag
     reference: np.ndarray  # (2, n_nodes) reference mean at the node and one sample before
     reference_s2: np.ndarray  # (n_nodes,)
-    log_s2: np.ndarray  # (n_exp,) sum of the reference log s^2 over the blocks' samples
     edge_t: np.ndarray  # (n_runs, 2) s, first and last sample of each run
     edge_y: np.ndarray  # (n_runs, 2)
     distance: np.ndarray  # (n_runs,) samples since the previous run's last sample
-    pairs: np.ndarray  # (n_exp,) pairs of neighbouring samples
     low: np.ndarray  # (n_theta,) region of the mesh
     high: np.ndarray  # (n_theta,)
     n_kinds: int
