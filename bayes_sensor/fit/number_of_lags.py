@@ -96,17 +96,20 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
         if n > volumes
     ]
     fitted: dict[LagNumbers, _Fitted] = {}
+    likelihood: dict[LagNumbers, tuple[float, FloatArray]] = {}
     for chain in chains:
+        if _left_behind(chain, {each: value for each, (value, _) in likelihood.items()}):
+            continue
         stages = stages_of(problem.layout.rig, chain, most_volumes > 0)
         fitted[chain] = _least_squares(with_stages(stages), looks, _starts(chain, fitted, first))
-    likelihood = {chain: _maximum(found, looks) for chain, found in fitted.items()}
+        likelihood[chain] = _maximum(fitted[chain], looks)
     best = max(likelihood, key=lambda chain: likelihood[chain][0])
     n_samples = _independent(fitted[best].problem, likelihood[best][1])
     penalty = {
         chain: 0.5 * log(n_samples) * (len(found.problem.layout) - len(found.problem.fixed))
         for chain, found in fitted.items()
     }
-    for chain in reversed(chains):
+    for chain in reversed(fitted):
         for less in _with_one_less(chain):
             gain = likelihood[chain][0] - penalty[chain]
             if less in fitted and gain > likelihood[less][0] - penalty[less]:
@@ -117,7 +120,7 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     values: dict[LagNumbers, float] = {}
     evidence: dict[int, float] = {}
     names: dict[int, tuple[str, ...]] = {}
-    for chain in chains:
+    for chain in fitted:
         # a further lag of zero leaves the likelihood as it is
         fewer = [values[less] for less in _with_one_less(chain) if less in values]
         values[chain] = max(likelihood[chain][0], *fewer, -np.inf)
@@ -129,6 +132,20 @@ def count_lags(campaign: Campaign | Problem, fit: Fit) -> LagCount | None:
     evidence = {n: value - highest for n, value in evidence.items()}
     missed = fit.misfit is not None and fit.misfit > TOLERATED
     return LagCount(supported(evidence), evidence, names, own.n, missed)
+
+
+def _left_behind(chain: LagNumbers, likelihood: dict[LagNumbers, float]) -> bool:
+    """Whether a chain is not worth a fit: the same with one lag less is further behind another of
+    its length than its own last lag has brought, and a further lag brings less than the one before.
+    """
+    shorter, before = (chain._replace(flat=chain.flat - less) for less in (1, 2))
+    if before.flat < 1:
+        return False
+    if shorter not in likelihood or before not in likelihood:
+        return True
+    highest = max(value for each, value in likelihood.items() if each.n == shorter.n)
+    gain = max(likelihood[shorter] - likelihood[before], 0.0)
+    return highest - likelihood[shorter] > gain
 
 
 def stages_of(rig: Rig, chain: LagNumbers, flows_differ: bool) -> tuple[str, ...]:

@@ -208,7 +208,9 @@ def warm(folder: Path, n: int, before: Path | None, write: bool) -> list[Row]:
             for label, root in roots.items():
                 out = folder / "out"
                 shutil.rmtree(out, ignore_errors=True)
-                command = [part.format(out=out) for part in job.command]
+                # each checkout has the bundled campaigns in the form that it reads
+                here, there = str(ROOT / "data"), str(root / "data")
+                command = [part.format(out=out).replace(here, there) for part in job.command]
                 numpy_s.append(numpy_job())
                 try:
                     spent = run(command, root)

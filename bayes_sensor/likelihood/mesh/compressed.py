@@ -24,7 +24,6 @@ from bayes_sensor.likelihood.mesh.mean_derivatives import height, mean_derivativ
 from bayes_sensor.likelihood.mesh.mesh_arrays import K, make_room
 from bayes_sensor.likelihood.noise import check_phi, lag_coefficient, scale_slopes, scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.cascade import response_slopes
 from bayes_sensor.rig.layout import Theta
 
 
@@ -399,77 +398,58 @@ class Compressed:
             check_phi(phi_reference, steps, e.name)
             phi = lag_coefficient(phi_reference, steps)
             rest = 1.0 - phi**2
-            times = self.node_times(k)
+            index, J, u = self._standardised(vector, k)
+            # nodes, one sample before them, first and last sample of each run; (m, n) each
             count = mesh.moments[0, self._part(k)]
-            J, u, _ = self._scaled(vector, k, times.ravel())
-            Jl, ul, _ = self._scaled(vector, k, times.ravel() - e.interval)
-            cross = (J * count[:, None]).T @ Jl
-            info = ((1 + phi**2) * (J * count[:, None]).T @ J - phi * (cross + cross.T)) / rest
-            runs = slice(mesh.runs[k], mesh.runs[k + 1])
-            f, uf, _ = self._scaled(vector, k, mesh.edge_t[runs, 0])
-            last, ulast, _ = self._scaled(vector, k, mesh.edge_t[runs, 1])
-            info += phi**2 / rest * (f.T @ f - last.T @ last)
-            info += np.outer(f[0], f[0])
+            n = len(count)
+            (J, Jl, f, last), (u, ul, uf, ulast) = (
+                (each[:, :n], each[:, n : 2 * n], each[:, 2 * n :: 2], each[:, 2 * n + 1 :: 2])
+                for each in (J, u)
+            )
+            weighted = J * count
+            cross = weighted @ Jl.T
+            info = ((1 + phi**2) * weighted @ J.T - phi * (cross + cross.T)) / rest
+            info += phi**2 / rest * (f @ f.T - last @ last.T)
+            info += np.outer(f[:, 0], f[:, 0])
             # covariance: u = d log s by the parameters
-            cross = (u * count[:, None]).T @ ul
-            info += (1.0 + (1 + phi**2) / rest) * (u * count[:, None]).T @ u
+            weighted = u * count
+            cross = weighted @ ul.T
+            info += (1.0 + (1 + phi**2) / rest) * weighted @ u.T
             info -= phi**2 / rest * (cross + cross.T)
-            info += (1.0 + 1.0 / rest) * uf.T @ uf - phi**2 / rest * ulast.T @ ulast
-            i_phi = layout.noise[k, 0]
+            info += (1.0 + 1.0 / rest) * uf @ uf.T - phi**2 / rest * ulast @ ulast.T
             slope = _slope_of_lag(phi_reference, steps)
-            info[i_phi, i_phi] += mesh.totals[k, 1] * (1 + phi**2) / rest**2 * slope**2
-            mixed = -2.0 * phi / rest * slope * (u.T @ count)
-            mixed -= phi / rest * slope * (uf.sum(axis=0) - ulast.sum(axis=0))
-            for i in range(1, len(f)):
-                distance = steps * mesh.distance[mesh.runs[k] + i]
-                across = lag_coefficient(phi_reference, distance)
-                left = 1.0 - across**2
-                gap, change = f[i] - across * last[i - 1], uf[i] - ulast[i - 1]
-                info += (np.outer(gap, gap) + across**2 * np.outer(change, change)) / left
-                slope = _slope_of_lag(phi_reference, distance)
-                info[i_phi, i_phi] += (1.0 + across**2) / left**2 * slope**2
-                mixed -= across / left * slope * (uf[i] + ulast[i - 1])
-            info[i_phi] += mixed
-            info[:, i_phi] += mixed
-            total += info
+            of_phi = mesh.totals[k, 1] * (1 + phi**2) / rest**2 * slope**2
+            mixed = -2.0 * phi / rest * slope * (u @ count)
+            mixed -= phi / rest * slope * (uf.sum(axis=1) - ulast.sum(axis=1))
+            # over the gaps between runs
+            distances = steps * mesh.distance[mesh.runs[k] + 1 : mesh.runs[k + 1]]
+            across = np.array([lag_coefficient(phi_reference, each) for each in distances])
+            slopes = np.array([_slope_of_lag(phi_reference, each) for each in distances])
+            left = 1.0 - across**2
+            gap, change = f[:, 1:] - across * last[:, :-1], uf[:, 1:] - ulast[:, :-1]
+            info += gap / left @ gap.T + across**2 / left * change @ change.T
+            of_phi += float(((1.0 + across**2) / left**2 * slopes**2).sum())
+            mixed -= (uf[:, 1:] + ulast[:, :-1]) @ (across / left * slopes)
+            i_phi = layout.noise[k, 0]
+            total[np.ix_(index, index)] += info
+            total[i_phi, index] += mixed
+            total[index, i_phi] += mixed
+            total[i_phi, i_phi] += of_phi
         return total
 
-    def _scaled(
-        self, vector: FloatArray, k: int, t: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Derivatives of the mean over s (n_t, n), of log s (n_t, n), and s (n_t,) at times t."""
-        problem = self.problem
-        layout = problem.layout
-        e = problem.campaign.experiments[k]
-        if problem.chain != "exact":
-            return self._scaled_numerically(vector, k, t)
-        i_y0, i_beta = layout.local[k, :2]
-        x, index, slopes = response_slopes(t, vector, layout, k, e.total_flow)
-        slope = np.zeros((len(t), len(vector)))
-        slope[:, index] = slopes
-        J = vector[i_beta] * slope
-        J[:, i_y0] = 1.0
-        J[:, i_beta] = x
-        return self._standardised(vector, k, x, J, slope)
-
-    def _scaled_numerically(
-        self, vector: FloatArray, k: int, t: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        _, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, t)
-        J, slope = np.zeros((len(t), len(vector))), np.zeros((len(t), len(vector)))
-        J[:, index], slope[:, index] = d_mean.T, d_x.T
-        return self._standardised(vector, k, x, J, slope)
-
     def _standardised(
-        self, vector: FloatArray, k: int, x: FloatArray, J: FloatArray, slope: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """J over s, derivatives of log s, and s, from those of the mean (``J``) and response."""
+        self, vector: FloatArray, k: int
+    ) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        """At :meth:`_times`: positions in theta (m,) of all but phi that moves experiment ``k``,
+        derivatives of the mean over s and of log s (m, n_t)."""
+        _, x, index, d_mean, d_x = mean_derivatives(self.problem, vector, k, self._times(k))
         _, i_sigma0, i_sigma1 = self.problem.layout.noise[k]
         sigma0, sigma1 = vector[i_sigma0], vector[i_sigma1]
         s2 = scale_squared(x, sigma0, sigma1, *self._law(k))
         by_x, by_sigma0, by_sigma1 = scale_slopes(x, sigma0, sigma1, *self._law(k))
-        u = 0.5 * by_x[:, None] * slope / s2[:, None]
-        u[:, i_sigma0] = 0.5 * by_sigma0 / s2
-        u[:, i_sigma1] = 0.5 * by_sigma1 / s2
-        s = np.sqrt(s2)
-        return J / s[:, None], u, s
+        m = len(index)
+        J, u = np.zeros((m + 2, len(x))), np.zeros((m + 2, len(x)))
+        J[:m] = d_mean / np.sqrt(s2)
+        u[:m] = 0.5 * by_x / s2 * d_x
+        u[m], u[m + 1] = 0.5 * by_sigma0 / s2, 0.5 * by_sigma1 / s2
+        return np.append(index, [i_sigma0, i_sigma1]), J, u
