@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from bayes_sensor.figures.colours import BLUE, GREEN, GROUND, INK, MIDDLE, ORANGE
 from bayes_sensor.figures.labels import shortened
+from bayes_sensor.figures.quoted_tau import quoted_tau
 from bayes_sensor.figures.style import beside, panels, style
 
 MOST_NAMES = 60
@@ -20,10 +21,12 @@ LONGEST_NAME = 28
 def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> Figure:
     """Forest plot of tau, smallest first: median, 68 % thick, 95 % thin.
 
+    Where the diagnosis found a cause that the posterior lacks: with that cause in the model, 95 %.
+
     ``rows``: the table of a fleet; those without a tau are listed at the bottom with the reason.
     An arrow to the left ends at the one-sided 95 % limit of a campaign that does not exclude zero.
     """
-    known = sorted((r for r in rows if r["tau_s"] is not None), key=lambda r: r["tau_s"])
+    known = sorted((r for r in rows if r["tau_s"] is not None), key=lambda r: quoted_tau(r)[1])
     lost = [r for r in rows if r["tau_s"] is None]
     named = len(rows) <= MOST_NAMES
     shown = [*known, *(lost if named else [])]
@@ -36,19 +39,24 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
         handles: dict[str, Any] = {}
         for i, row in enumerate(known):
             kind, colour = _kind(row)
+            low, middle, high = quoted_tau(row)
             if row["tau_is_limit"]:
-                axes.plot([0.0, 1e3 * row["tau_upper95_s"]], [i, i], color=colour, lw=thick[0])
+                upper = row["tau_upper95_s"] if row.get("tau_with_cause_s") is None else high
+                axes.plot([0.0, 1e3 * upper], [i, i], color=colour, lw=thick[0])
                 if named:
-                    axes.plot(1e3 * row["tau_upper95_s"], i, "<", color=colour, ms=4.5)
-                line = axes.plot(1e3 * row["tau_s"], i, "|", color=colour, ms=5 if named else 1.5)
+                    axes.plot(1e3 * upper, i, "<", color=colour, ms=4.5)
+                line = axes.plot(1e3 * middle, i, "|", color=colour, ms=5 if named else 1.5)
             else:
-                for lo, hi, width in (("lo95", "hi95", thick[0]), ("lo68", "hi68", thick[1])):
+                spans = [(low, high, thick[0])]
+                if row.get("tau_with_cause_s") is None:
+                    spans.append((row["tau_lo68_s"], row["tau_hi68_s"], thick[1]))
+                for begin, end, width in spans:
                     axes.plot(
-                        [1e3 * row[f"tau_{lo}_s"], 1e3 * row[f"tau_{hi}_s"]], [i, i],
+                        [1e3 * begin, 1e3 * end], [i, i],
                         color=colour, lw=width, solid_capstyle="butt",
                     )  # fmt: skip
                 line = axes.plot(
-                    1e3 * row["tau_s"], i, "D", color=GROUND if named else colour, mec=colour,
+                    1e3 * middle, i, "D", color=GROUND if named else colour, mec=colour,
                     ms=4.2 if named else 0.8, mew=1.1,
                 )  # fmt: skip
             handles.setdefault(kind, line[0])
@@ -87,19 +95,19 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, str]:
         return "not converged", MIDDLE
     if row["tau_is_limit"]:
         return "upper limit", ORANGE
-    return (
-        ("median, 68 %, 95 %", BLUE)
-        if row.get("gap") in (None, "none")
-        else ("the same, model misses", INK)
-    )
+    if row.get("tau_with_cause_s") is not None:
+        return "with a cause found, 95 %", INK
+    if row.get("gap") in (None, "none"):
+        return "median, 68 %, 95 %", BLUE
+    return "the same, model misses", INK
 
 
 def _range(known: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
     """Range of all 95 % intervals, without those so wide that the others would vanish."""
     if not known:
         return 0.0, 1.0
-    high = np.array([1e3 * max(r["tau_hi95_s"], r["tau_upper95_s"] or 0.0) for r in known])
-    low = np.array([0.0 if r["tau_is_limit"] else 1e3 * r["tau_lo95_s"] for r in known])
+    high = np.array([1e3 * max(quoted_tau(r)[2], r["tau_upper95_s"] or 0.0) for r in known])
+    low = np.array([0.0 if r["tau_is_limit"] else 1e3 * quoted_tau(r)[0] for r in known])
     top = min(float(high.max()), 4.0 * float(np.median(high)))
     bottom = float(low.min())
     margin = 0.04 * (top - bottom) or 1.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_sensor.figures.quoted_tau import quoted_tau
 from bayes_sensor.fleet.outcome import COLUMNS, DONE, FAILED, NOT_CONVERGED
 from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.json_files import json_text
@@ -32,7 +33,8 @@ def comparison(rows: Sequence[Row]) -> dict[str, Any]:
 
     If three campaigns or more bound tau from both sides: Cochran's Q of tau against its common
     mean, its p-value, and the spread between sensors by DerSimonian and Laird's moments (Control.
-    Clin. Trials 7, 177, 1986); weights are one over the posterior's variance.
+    Clin. Trials 7, 177, 1986); weights are one over the posterior's variance.  Where the diagnosis
+    found a cause, tau and its spread are those with the cause in the model.
     """
     from scipy import stats
 
@@ -49,12 +51,12 @@ def comparison(rows: Sequence[Row]) -> dict[str, Any]:
         "median_tau_s": None, "mean_tau_s": None, "mean_tau_sd_s": None,
         "between_sensors_sd_s": None, "cochran_q": None, "p_value": None, "n_compared": len(known),
     }  # fmt: skip
-    shown = [r["tau_s"] for r in done if r["tau_s"] is not None]
+    shown = [quoted_tau(r)[1] for r in done if r["tau_s"] is not None]
     if shown:
         found["median_tau_s"] = float(np.median(shown))
     if len(known) >= 3:
-        tau = np.array([r["tau_s"] for r in known])
-        weight = np.array([r["tau_sd_s"] for r in known]) ** -2.0
+        tau = np.array([quoted_tau(r)[1] for r in known])
+        weight = np.array([_sd(r) for r in known]) ** -2.0
         q = float(weight @ (tau - weight @ tau / weight.sum()) ** 2)
         n = len(known)
         between = (q - (n - 1)) / (weight.sum() - (weight @ weight) / weight.sum())
@@ -68,6 +70,14 @@ def comparison(rows: Sequence[Row]) -> dict[str, Any]:
             p_value=float(stats.chi2.sf(q, n - 1)),
         )
     return found
+
+
+def _sd(row: Row) -> float:
+    """s, of :func:`quoted_tau`; from the width of the interval where no draws stand behind it."""
+    if row.get("tau_with_cause_s") is None:
+        return float(row["tau_sd_s"])
+    low, _, high = quoted_tau(row)
+    return (high - low) / (2.0 * 1.96)
 
 
 def sentences(found: Mapping[str, Any]) -> list[str]:
@@ -128,6 +138,13 @@ SHOWN = (
 """numbers of the page's table; all others are in fleet.csv"""
 
 
+def _shown(row: Row) -> list[float | None]:
+    values = dict(row)
+    if row.get("tau_with_cause_s") is not None:
+        values["tau_lo95_s"], values["tau_s"], values["tau_hi95_s"] = quoted_tau(row)
+    return [None if values[key] is None else factor * values[key] for _, key, factor in SHOWN]
+
+
 def page(rows: Sequence[Row], found: Mapping[str, Any], drawing: str | None, version: str) -> str:
     """The index page: self-contained, with a link to each campaign's report."""
     from urllib.parse import quote
@@ -149,13 +166,14 @@ def page(rows: Sequence[Row], found: Mapping[str, Any], drawing: str | None, ver
     shown = Table(
         "campaigns",
         "Every campaign: posterior medians and 95 % limits; the upper limit is one-sided, under "
-        "the half-normal prior.",
+        "the half-normal prior. Where the diagnosis found a cause, τ and its limits are those "
+        "with the cause in the model.",
         columns,
         [
             [
                 row["campaign"],
                 row["status"],
-                *(None if row[key] is None else factor * row[key] for _, key, factor in SHOWN),
+                *_shown(row),
                 row["signal_unit"],
                 (row["gap_effects"] or row["gap"] or "").replace("_", " ") or None,
                 row["message"] or row["title"],

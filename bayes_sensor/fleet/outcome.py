@@ -19,8 +19,11 @@ COLUMNS = (
     "tau_upper95_s", "tau_is_limit", "phi", "sigma0_V", "sigma1_V", "rms_V", "crlb_iid_tau_sd_s",
     "least_ess", "largest_r_hat", "gap", "gap_effects", "gap_probability",
     "tau_envelope_lo_s", "tau_envelope_hi_s", "report", "order", "lag_fast_s", "lag_slow_s",
+    "tau_with_cause_s", "tau_with_cause_lo95_s", "tau_with_cause_hi95_s",
 )  # fmt: skip
-"""of the table: medians of the posterior, equal-tailed limits, ``_V`` in the campaign's own unit"""
+"""of the table: medians of the posterior, equal-tailed limits, ``_V`` in the campaign's own unit;
+``tau_with_cause``: with the cause of a misfit in the model, where the diagnosis found one that the
+posterior lacks (the headline of the campaign's report)"""
 
 
 def row_of(results: Results, name: str, file: str, report: str, message: str) -> dict[str, Any]:
@@ -32,6 +35,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
     """
     from bayes_sensor.figures.method_words import classical_bound
     from bayes_sensor.report import headline  # draws, so slow to import
+    from bayes_sensor.report.cause_left_out import left_out
 
     campaign, fit, posterior, bounds, gap = (
         results.json(f"{part}.json") for part in ("campaign", "fit", "posterior", "bounds", "gap")
@@ -67,7 +71,7 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
             row[noise] = parameters[noise]["q50"]
     row["least_ess"] = _least(p["ess_bulk"] for p in parameters.values())
     row["largest_r_hat"] = _largest(p["r_hat"] for p in parameters.values())
-    head = headline(posterior, bounds)
+    head = headline(posterior, bounds, gap=gap)
     if order != "undecided":
         row["tau_is_limit"] = bool(head is not None and head.is_limit)
     for prior in posterior.get("tau_under_priors") or []:
@@ -79,8 +83,12 @@ def row_of(results: Results, name: str, file: str, report: str, message: str) ->
         row["gap"], row["gap_probability"] = verdict["kind"], verdict["probability"]
         row["gap_effects"] = " ".join(verdict["effects"])
         envelope = gap["hidden"].get("tau_envelope_s") or (None, None)
+        cause = left_out(gap, posterior) if head is not None and head.without else None
         if order != "undecided":
             row["tau_envelope_lo_s"], row["tau_envelope_hi_s"] = envelope
+            if cause is not None:
+                row["tau_with_cause_lo95_s"], row["tau_with_cause_s"] = cause.ends_s[:2]
+                row["tau_with_cause_hi95_s"] = cause.ends_s[2]
     return row
 
 

@@ -187,6 +187,22 @@ def test_counts_and_what_is_left_out_of_the_mean() -> None:
     assert frame["message"].tolist()[4] == "no file"
 
 
+def test_a_sensor_with_a_cause_found_counts_with_that_cause_in_the_model() -> None:
+    rows = [row(name, 50, 3) for name in "abc"]
+    cause = {"tau_with_cause_s": 0.05, "tau_with_cause_lo95_s": 0.044,
+             "tau_with_cause_hi95_s": 0.056, "gap": "family"}  # fmt: skip
+    wrong = row("d", 90, 1)
+    assert comparison([*rows, wrong])["p_value"] < 1e-6
+    found = comparison([*rows, wrong | cause])
+    assert found["mean_tau_s"] == pytest.approx(0.05) and found["p_value"] == pytest.approx(1.0)
+    # its interval is as wide as the others': all weigh alike
+    assert found["mean_tau_sd_s"] == pytest.approx(0.0015, rel=0.02)
+    text = page([*rows, wrong | cause], found, None, "1")
+    assert "with the cause in the model" in text and ">90<" not in text
+    axes = figures.forest([*rows, wrong | cause]).axes[0]
+    assert max(float(np.max(line.get_xdata())) for line in axes.lines) < 80.0
+
+
 @pytest.mark.parametrize("n", [1, 7, 80])
 def test_the_figure_holds_every_campaign(n: int) -> None:
     rows = [row(f"s{i}", 20 + i, 4) for i in range(n)]

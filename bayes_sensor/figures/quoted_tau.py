@@ -1,0 +1,15 @@
+"""tau of one campaign of a fleet, as its report quotes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def quoted_tau(row: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Low end, middle and high end of the 95 % interval of tau, s, of a ``row`` that has one.
+
+    With the cause of a misfit in the model where the diagnosis found one, else the posterior's.
+    """
+    kind = "tau_with_cause" if row.get("tau_with_cause_s") is not None else "tau"
+    return row[f"{kind}_lo95_s"], row[f"{kind}_s"], row[f"{kind}_hi95_s"]
