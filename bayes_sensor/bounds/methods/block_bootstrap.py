@@ -140,23 +140,29 @@ def _to_nodes(
     start: IntArray,
     count: IntArray,
     kind: IntArray,
-    offset: IntArray,
-    table: FloatArray,
+    coefficients: FloatArray,
     sums: FloatArray,
 ) -> None:
-    # sums (n_blocks, K): filled with the Lagrange-weighted sums of r
+    # sums (n_blocks, K): filled with the Lagrange-weighted sums of r, from those weighted by powers
+    # of the place u in the block, -1 .. 1; a table of weights would not fit the processor's cache
+    moments = np.empty(K)
     for b in range(len(start)):
         for q in range(K):
-            sums[b, q] = 0.0
+            sums[b, q] = moments[q] = 0.0
         if kind[b] == 0:
             for i in range(count[b]):
                 sums[b, i] = r[start[b] + i]
             continue
-        o = offset[kind[b]]
+        width = 2.0 / (8 * 2 ** kind[b])
         for i in range(count[b]):
+            u = (i + 0.5) * width - 1.0
             value = r[start[b] + i]
             for q in range(K):
-                sums[b, q] += table[o + i, q] * value
+                moments[q] += value
+                value *= u
+        for j in range(K):
+            for q in range(K):
+                sums[b, j] += coefficients[q, j] * moments[q]
 
 
 def stationary_indices(
@@ -225,19 +231,20 @@ def resample_and_refit(
     vector = theta.copy()
     noise = problem.layout.noise
     vector[noise] = evidence.theta[noise]
-    # Lagrange weights of every sample of a block of 8 2^kind samples, one kind after the other
-    sizes = 8 * 2 ** np.arange(mesh.n_kinds)
-    table = np.concatenate([lagrange((np.arange(n) + 0.5) / n) for n in sizes])
-    offset = np.cumsum([0, *sizes[:-1]])
-    series, starts, counts, means, residuals = [], [], [], [], []
+    # of the powers of u in the Lagrange weights
+    u = np.cos(np.pi * (np.arange(K) + 0.5) / K)
+    coefficients = np.linalg.solve(np.vander(u, K, increasing=True), lagrange(0.5 * (u + 1.0)))
+    series, starts, counts, residuals = [], [], [], []
+    ends, ends_of_mean = [], []  # of every run
     for k, e in enumerate(problem.campaign):
         series.append(residual_series(problem, vector, k, whitened))
         part = slice(mesh.blocks[k], mesh.blocks[k + 1])
         start = np.rint((mesh.base[part] - e.t[0]) / e.interval + 0.5).astype(np.int64)
-        ends = e.even_runs[np.searchsorted(e.even_runs[:, 0], start, side="right") - 1, 1]
+        last = e.even_runs[np.searchsorted(e.even_runs[:, 0], start, side="right") - 1, 1]
         starts.append(start)
-        counts.append(np.minimum(8 * 2 ** mesh.kind[part], ends - start))
-        means.append(mean_and_variance(problem, vector, k)[0])
+        counts.append(np.minimum(8 * 2 ** mesh.kind[part], last - start))
+        ends.append(np.stack([e.even_runs[:, 0], e.even_runs[:, 1] - 1], axis=1))
+        ends_of_mean.append(mean_and_variance(problem, vector, k)[0][ends[k]] - mesh.setting[k, 5])
         residuals.append(np.zeros(len(e.t)))
     curvature = curvature_along_tau(surface, evidence.psi_white)
     rng = np.random.default_rng(np.random.SeedSequence([evidence.seed, 71]))
@@ -254,10 +261,9 @@ def resample_and_refit(
             r = residuals[k]
             _recolour(index, own.e, own.scale, e.even_runs, own.across, own.phi, r)
             part = slice(mesh.blocks[k], mesh.blocks[k + 1])
-            _to_nodes(r, starts[k], counts[k], mesh.kind[part], offset, table, node_sums[part])
+            _to_nodes(r, starts[k], counts[k], mesh.kind[part], coefficients, node_sums[part])
             runs = slice(mesh.runs[k], mesh.runs[k + 1])
-            edges = np.stack([e.even_runs[:, 0], e.even_runs[:, 1] - 1], axis=1)
-            mesh.edge_y[runs] = (means[k] + r)[edges] - mesh.setting[k, 5]
+            mesh.edge_y[runs] = ends_of_mean[k] + r[ends[k]]
         found = maximise(
             surface.guarded, curvature, evidence.psi_white, surface.mean,
             *surface.box, tolerance=1e-5 * unit, settled=3e-4 * unit,
