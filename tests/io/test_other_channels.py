@@ -59,3 +59,21 @@ def test_a_command_or_a_constant_as_the_signal_says_what_to_choose(
         "flat_V": "never changes; set signal to",
     }[signal]
     assert reason in said and "'a_V'" in said
+
+
+def test_two_columns_of_one_file_with_the_same_commands_may_be_two_sensors(tmp_path: Path) -> None:
+    second = (
+        'signal = "a_V"\n[[experiment]]\nname = "2"\nfile = "a.csv"\ncommanded_on = "{on}"\n'
+        'carrier_flow = "4 L/min"\ntest_gas_flow = "0.5 L/min"\nsignal = "{signal}"'
+    )
+    names = ["a_V", "b_V", "room_V"]
+    (said,) = remarks(tmp_path, names, second.format(on="19.5 s", signal="b_V"))
+    advice = 'signals = {A = "a_V", B = "b_V"}'
+    assert "experiments '1' and '2': two columns of a.csv" in said and advice in said
+    assert remarks(tmp_path, names, advice) == []
+    # another command is another run; the same column twice is no second sensor
+    assert not any(
+        "two columns" in text
+        for on, signal in (("19.4 s", "b_V"), ("19.5 s", "a_V"))
+        for text in remarks(tmp_path, names, second.format(on=on, signal=signal))
+    )

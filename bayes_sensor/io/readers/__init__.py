@@ -30,7 +30,7 @@ from bayes_sensor.io.readers.joined import by_sensor, join, one_line, one_unit, 
 from bayes_sensor.io.readers.left_open import check_filled_in
 from bayes_sensor.io.readers.matlab import read_matlab
 from bayes_sensor.io.readers.npz import read_npz
-from bayes_sensor.io.readers.other_channels import signal_remarks
+from bayes_sensor.io.readers.other_channels import column_remarks, signal_remarks
 from bayes_sensor.io.readers.other_times import time_remarks
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.spreadsheet import read_xlsx
@@ -129,6 +129,7 @@ def _read(path: Path) -> Campaign:
     settled, warnings = settle_all_flows(sheet.experiment, sheet.conditions, label)
     entries = [read_entry(table, i, label) for i, table in enumerate(settled, 1)]
     _check_entries(entries, label)
+    warnings += column_remarks(entries)
     experiments: list[Experiment] = []
     units: list[tuple[str, str]] = []
     for entry in entries:

@@ -1,4 +1,4 @@
-"""Remarks on the choice of the signal, from the other channels of its file."""
+"""Remarks on the choice of the signal, from the other channels of its file and the other entries."""
 
 from __future__ import annotations
 
@@ -107,3 +107,25 @@ def _begin_together(a: Step, b: Step) -> bool:
 def _finite(recording: Recording) -> tuple[FloatArray, FloatArray]:
     known = np.isfinite(recording.y) & np.isfinite(recording.t)
     return recording.t[known], recording.y[known]
+
+
+def column_remarks(entries: Sequence[ExperimentTable]) -> list[str]:
+    """Remarks on experiments that read two columns of one file with the same commands: these may be
+    two sensors, which as two experiments would share one tau."""
+    found = []
+    for i, entry in enumerate(entries):
+        for other in entries[:i]:
+            one_run = all(
+                getattr(entry, key) == getattr(other, key)
+                for key in ("file", "time", "keep", "commanded_on", "commanded_off", "steps")
+            )
+            told = entry.signal is not None and other.signal is not None
+            if entry.file is not None and one_run and told and entry.signal != other.signal:
+                found.append(
+                    f"experiments '{other.name}' and '{entry.name}': two columns of {entry.file} "
+                    "with the same commands; if they are two sensors on one gas, write one "
+                    f'experiment with signals = {{A = "{other.signal}", B = "{entry.signal}"}}: '
+                    "as two experiments they share one tau"
+                )
+                break
+    return found
