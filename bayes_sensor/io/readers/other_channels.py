@@ -1,4 +1,4 @@
-"""Remarks on the choice of the signal, from the other channels of its file and the other entries."""
+"""Remarks on the choice of the signal, from what else is in its file and in the campaign."""
 
 from __future__ import annotations
 
