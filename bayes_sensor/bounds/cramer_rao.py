@@ -106,10 +106,8 @@ def cramer_rao(
     ):
         if value not in known:
             raise CampaignError(f"cramer_rao: {label} must be one of {known}, but is '{value}'")
-    if noise == "iid" and not 0.0 < sigma < np.inf:
-        raise CampaignError(
-            f"cramer_rao: sigma is {sigma} V; expected the noise's size, above zero: correct it"
-        )
+    if noise == "iid":
+        _check_sigma(sigma)
     if step is None:
         if method == "euler":
             raise CampaignError(
@@ -119,10 +117,20 @@ def cramer_rao(
         information = _converged(problem, vector, sigma, noise)
     else:
         if noise == "ar1" or step == 0:
-            raise CampaignError("cramer_rao: a finite step needs noise='iid' and a step not zero")
-        J2 = _finite(problem, vector, float(step), method or "euler", difference)
+            raise CampaignError(NO_STEP)
+        (J2,) = _finite(problem, vector, float(step), method or "euler", (difference,))
         information = J2 / sigma**2
     return bound_of(layout, information, fixed)
+
+
+NO_STEP = "cramer_rao: a finite step needs noise='iid' and a step not zero"
+
+
+def _check_sigma(sigma: float) -> None:
+    if not 0.0 < sigma < np.inf:
+        raise CampaignError(
+            f"cramer_rao: sigma is {sigma} V; expected the noise's size, above zero: correct it"
+        )
 
 
 def bound_of(layout: Layout, information: FloatArray, fixed: Sequence[str]) -> CramerRao:
@@ -174,38 +182,39 @@ def _converged(problem: Problem, vector: FloatArray, sigma: float, noise: str) -
 
 
 def _finite(
-    problem: Problem, vector: FloatArray, step: float, method: str, difference: str
+    problem: Problem, vector: FloatArray, step: float, method: str, differences: Sequence[str]
 ) -> FloatArray:
-    """J'J (n_mean, n_mean) by relative differences of the mean."""
+    """J'J (n_differences, n_mean, n_mean) by relative differences of the mean, forward or
+    central."""
     layout = problem.layout
-    total = np.zeros((layout.n_mean, layout.n_mean))
+    total = np.zeros((len(differences), layout.n_mean, layout.n_mean))
     for k, e in enumerate(problem.campaign):
         local = layout.local[k]
         index = np.array([*layout.shared[k], *local[local >= 0]])
         beta = vector[local[1]]
         fastest = fastest_beside_tau(problem, vector)
         base = _response(problem, vector, k, method)
-        columns = []
-        for i in index:
+        J = np.empty((len(differences), len(index), len(e.t)))
+        for row, i in enumerate(index):
             if i == local[0]:
-                columns.append(np.ones(len(e.t)))
+                J[:, row] = 1.0
                 continue
             if i == local[1]:
-                columns.append(base)
+                J[:, row] = base
                 continue
             move = step * (vector[i] if vector[i] != 0 else fastest)
             moved = vector.copy()
             moved[i] += move
             up = _response(problem, moved, k, method)
-            if difference == "central" and not (i == layout.tau and vector[i] == 0.0):
-                moved[i] = vector[i] - move
-                columns.append(beta * (up - _response(problem, moved, k, method)) / (2.0 * move))
-            else:
-                columns.append(beta * (up - base) / move)
-        J = np.stack(columns)
+            for by, difference in zip(J, differences, strict=True):
+                if difference == "central" and not (i == layout.tau and vector[i] == 0.0):
+                    moved[i] = vector[i] - move
+                    by[row] = beta * (up - _response(problem, moved, k, method)) / (2.0 * move)
+                else:
+                    by[row] = beta * (up - base) / move
         if not e.used.all():
-            J = J[:, e.used]
-        total[np.ix_(index, index)] += J @ J.T
+            J = J[:, :, e.used]
+        total[:, index[:, None], index] += J @ J.transpose(0, 2, 1)
     return total
 
 
@@ -248,12 +257,18 @@ def step_study(
     import pandas as pd
 
     steps = np.geomspace(1e-6, 0.1, 16) if steps is None else np.asarray(steps, dtype=float)
-    rows = []
-    n_shared = as_problem(campaign).layout.n_shared
+    rows, differences = [], ("forward", "central")
+    problem = as_problem(campaign)
+    refuse_held(problem, "step_study")
+    _check_sigma(sigma)
+    if not np.all(steps):
+        raise CampaignError(NO_STEP)
+    vector, n_shared = problem.flat(theta), problem.layout.n_shared
     for step in steps:
         for method in ("euler", "exact"):
-            for difference in ("forward", "central"):
-                bound = cramer_rao(campaign, theta, sigma, float(step), method, difference)
+            found = _finite(problem, vector, float(step), method, differences) / sigma**2
+            for difference, information in zip(differences, found, strict=True):
+                bound = bound_of(problem.layout, information, ())
                 row = {name: bound[name] for name in bound.names[:n_shared]}
                 identified = bool(np.isfinite(bound.sd).all())
                 rows.append(

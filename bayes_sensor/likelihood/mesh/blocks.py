@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from math import exp, pi
 
@@ -124,6 +125,12 @@ def _decays(taus: FloatArray) -> FloatArray:
     return np.array(rows)
 
 
+@lru_cache(maxsize=4096)
+def _counts(n: int) -> FloatArray:
+    """(K,) how many of ``n`` samples each node of their block stands for."""
+    return np.asarray(lagrange((np.arange(n) + 0.5) / n).sum(axis=0))
+
+
 def build(problem: Problem, vector: FloatArray, region: Region, data: bool = True) -> Arrays:
     """The mesh of a campaign (or design) around ``vector`` for all theta inside ``region``.
 
@@ -179,18 +186,16 @@ def build(problem: Problem, vector: FloatArray, region: Region, data: bool = Tru
                 a + 1, b, e.t[0], h, windows, narrow, decays, amplitude, kinks, region.fineness
             )
             for start, n, kind in found:
-                if kind == 0:
-                    L = np.eye(n, K)
-                else:
-                    if n not in cache:
-                        cache[n] = lagrange((np.arange(n) + 0.5) / n)
-                    L = cache[n]
-                stack = np.zeros((5, n))
-                stack[0] = 1.0
                 if with_data:
-                    stack[1], stack[2] = d[start : start + n], d[start - 1 : start + n - 1]
-                    stack[3], stack[4] = stack[1] ** 2, stack[1] * stack[2]
-                moments.append(stack @ L)
+                    now, before = d[start : start + n], d[start - 1 : start + n - 1]
+                    if kind > 0 and n not in cache:
+                        cache[n] = lagrange((np.arange(n) + 0.5) / n)
+                    L = cache[n] if kind > 0 else np.eye(n, K)
+                    moments.append(np.stack([np.ones(n), now, before, now**2, now * before]) @ L)
+                else:
+                    only_counts = np.zeros((5, K))
+                    only_counts[0] = _counts(n) if kind > 0 else np.arange(K) < n
+                    moments.append(only_counts)
                 follows.append(len(base) > run_start)
                 base.append(e.t[0] + (start - 0.5) * h)
                 kinds.append(kind)

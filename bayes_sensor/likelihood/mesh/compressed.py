@@ -64,14 +64,17 @@ class Compressed:
     Made by :func:`compress`.  ``region`` is the box of theta for which the mesh was built: outside
     it, :meth:`log_likelihood` and the others use the exact full pass (slow, never wrong);
     ``n_full_passes`` counts how often that happened.  What the problem's noise law pins has its
-    pinned value in every theta.  One object is not to be shared by threads.
+    pinned value in every theta.  Without ``data`` it is good for :meth:`information` alone.  One
+    object is not to be shared by threads.
     """
 
-    def __init__(self, problem: Problem, vector: FloatArray, region: Region) -> None:
+    def __init__(
+        self, problem: Problem, vector: FloatArray, region: Region, data: bool = True
+    ) -> None:
         self.problem = problem
         self.reference = vector
         self.region = region
-        self.arrays = build(problem, vector, region)
+        self.arrays = build(problem, vector, region, data)
         self.n_full_passes = 0
         self._room = make_room(self.n_nodes)
         self._each, self._inside = np.zeros((1, len(problem.campaign))), np.zeros(1, dtype=bool)

@@ -59,6 +59,12 @@ def compress(
     that is not between -1 and 1 where there is no ``region``, or for forward Euler.
     """
     problem = as_problem(campaign)
+    vector = _place(problem, theta)
+    return Compressed(problem, vector, region or default_region(problem, vector))
+
+
+def _place(problem: Problem, theta: Theta) -> FloatArray:
+    """The flat vector (n_theta,) that a mesh may be built around; raises as :func:`compress`."""
     if problem.chain == "euler":
         raise CampaignError(
             "forward Euler has its switches on samples and cannot be compressed; "
@@ -70,7 +76,7 @@ def compress(
         problem.layout.taus(vector, k, e.total_flow)  # raises where one is not positive
     if np.isnan(vector).any():
         vector = _with_rough_noise(problem, vector)
-    return Compressed(problem, vector, region or default_region(problem, vector))
+    return vector
 
 
 def _with_rough_noise(problem: Problem, vector: FloatArray) -> FloatArray:
@@ -121,7 +127,6 @@ def expected_information(problem: Problem, vector: FloatArray) -> FloatArray:
     A tau of zero is raised to one too small to tell from it.
     """
     longest = max(e.interval for e in problem.campaign)
-    vector = vector.copy()
-    vector[problem.layout.tau] = above_zero(problem, vector)
+    vector = _place(problem, vector)
     region = narrow_region(problem.layout, vector, 2.0 * longest)
-    return compress(problem, vector, region).information(vector)
+    return Compressed(problem, vector, region, data=False).information(vector)
