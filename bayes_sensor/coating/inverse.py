@@ -125,6 +125,10 @@ class TauMap:
         return np.where(none_left, np.inf, (low + high) / 2)
 
 
+DEGREE = 8
+"""of the elements across the layers, for times to 1e-8"""
+
+
 @lru_cache(maxsize=16)
 def tau_map(
     coating: Coating, half_width: tuple[tuple[str, float], ...] = (), equivalent: str = "tau63"
@@ -142,7 +146,7 @@ def tau_map(
             name: getattr(coating, name) * math.exp(log)
             for name, log in zip(names, logs, strict=True)
         }
-        response = modal(replace(coating, d_zif8=math.exp(log_d), **changed), 12)
+        response = modal(replace(coating, d_zif8=math.exp(log_d), **changed), DEGREE)
         return math.log(getattr(response, equivalent))
 
     blank = TauMap(coating, names, widths, np.zeros(1), 0.0)
