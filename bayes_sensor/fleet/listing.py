@@ -17,13 +17,13 @@ from __future__ import annotations
 import glob
 import os
 import re
-import stat
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.io.readers import read_bytes
 from bayes_sensor.io.toml_text import read_toml
 
 CAMPAIGN = "campaign.toml"
@@ -70,32 +70,13 @@ def read_list(path: str | os.PathLike[str]) -> list[FleetEntry]:
 
 
 def _text(path: Path) -> str:
+    content = read_bytes(path, str(path), LARGEST, "a list of campaigns, a folder or a pattern")
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe may never end
-            raise CampaignError(
-                f"{path}: expected a list of campaigns, but it is not a regular file; copy its "
-                "content into one"
-            )
-        if status.st_size > LARGEST:
-            raise CampaignError(
-                f"{path}: expected a list of at most {LARGEST >> 20} MB; check that it is one"
-            )
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise CampaignError(
-            f"{path}: there is no such file or folder; expected a list of campaigns, a folder of "
-            "campaigns or a pattern: check LIST"
-        ) from None
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise CampaignError(
             f"{path}: expected UTF-8 text with one path a line; save it so"
         ) from None
-    except (OSError, ValueError) as error:
-        if isinstance(error, CampaignError):
-            raise
-        reason = getattr(error, "strerror", None) or error
-        raise CampaignError(f"{path}: the list cannot be read ({reason}); check it") from None
     if "\0" in text:
         raise CampaignError(f"{path}: expected text with one path a line, but it is binary data")
     return text

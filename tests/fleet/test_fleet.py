@@ -91,7 +91,8 @@ def test_names_are_unlike_each_other_and_safe(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("l.txt", b"", r"without any campaign"),
+        ("l.txt", b"# none\n", r"without any campaign"),
+        ("l.txt", b"", r"the file is empty"),
         ("l.txt", b"a.toml\nb.toml\n./a.toml\n", r"line 3: .*stands in the list twice.*line 1"),
         ("l.txt", b"\xff\xfea\x00", r"expected UTF-8"),
         ("l.txt", b"a\0b", r"binary data"),
@@ -122,7 +123,7 @@ def test_a_bad_list_is_one_message(
 @pytest.mark.parametrize("where", ["none.txt", "empty", "no*thing"])
 def test_a_list_that_is_not_there_is_refused(tmp_path: Path, where: str) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(CampaignError, match="check LIST"):
+    with pytest.raises(CampaignError, match="check (LIST|the name)"):
         read_list(tmp_path / where)
 
 
