@@ -323,18 +323,24 @@ def main() -> None:
     asked = parser.parse_args()
     n, in_fleet = (1, 4) if asked.quick else (asked.rounds, asked.fleet)
     load = [os.getloadavg()[0]]
+    rows: list[Row] = []
+
+    def keep(more: list[Row]) -> None:  # what follows may take long, or be stopped
+        rows.extend(more)
+        here = (*load, os.getloadavg()[0])
+        note = f"{os.cpu_count()} cores; before and after: wall times want less than one a core"
+        done = [*rows, Row("load average of the machine", "1", here, note=note)]
+        if not asked.quick:
+            table(done).to_csv(TABLE, index=False, float_format="%.4g")
+        show(done, "whole commands in fresh processes")
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder)
-        rows = warm(folder, n, asked.before and asked.before.resolve(), not asked.quick)
-        rows += compiling(folder)
-        rows += fleets(folder, in_fleet)
-    load.append(os.getloadavg()[0])
-    note = f"{os.cpu_count()} cores; before and after: wall times want less than one a core"
-    rows.append(Row("load average of the machine", "1", tuple(load), note=note))
-    show(rows, "whole commands in fresh processes")
+        keep(warm(folder, n, asked.before and asked.before.resolve(), not asked.quick))
+        keep(compiling(folder))
+        keep(fleets(folder, in_fleet))
     if not asked.quick:
-        table(rows).to_csv(TABLE, index=False, float_format="%.4g")
         print(f"written: {TABLE.relative_to(ROOT)}")
 
 
