@@ -79,6 +79,11 @@ def _parted(paths: Sequence[Path], lags: Sequence[str]) -> tuple[Path | None, li
         source = rest.pop(0)
     if source is not None and lags:
         raise CampaignError(f"--lag: the lags are also those of {source}; expected one: {USAGE}")
+    if source is None and not lags and (rest[0] / "campaign.json").is_file():
+        raise CampaignError(
+            f"{rest[0]}: expected results with posterior.nc, but there is none; run bayes-sensor "
+            "posterior or analyze with --out there first"
+        )
     if source is None and not lags:
         raise CampaignError(f"{rest[0]}: nothing says the sensor's lag; {USAGE}")
     files: list[Path] = []

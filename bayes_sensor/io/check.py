@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BLOCKS = 10
-"""stretches into which baseline and plateau are cut, to tell noise from drift"""
+"""stretches into which baseline and plateau are cut at most, to tell noise from drift"""
+FEWEST = 30
+"""samples of such a stretch: a line through fewer takes correlated noise for drift"""
 SAME_FLOW = (
     "all experiments have the same total flow, so valve and manifold (tau_v and V) cannot be told "
     "apart"
@@ -302,14 +304,15 @@ def _level(y: FloatArray) -> Level:
     """Median, noise and standard error of a stretch."""
     if len(y) < 2:
         return Level(float("nan"), float("nan"), float("nan"))
-    blocks = [block for block in np.array_split(y, BLOCKS) if len(block) >= 5]
+    blocks = np.array_split(y, max(min(BLOCKS, len(y) // FEWEST), 1))
     if len(blocks) < 2:
         spread = _spread(y)
         return Level(float(np.median(y)), spread, spread / np.sqrt(len(y)))
     residuals = []
     for block in blocks:
         x = np.arange(len(block)) - (len(block) - 1) / 2
-        residuals.append(block - block.mean() - x * ((x * block).sum() / (x * x).sum()))
+        residual = block - block.mean() - x * ((x * block).sum() / (x * x).sum())
+        residuals.append(residual * np.sqrt(len(block) / (len(block) - 2)))
     noise = 1.4826 * float(np.median(np.abs(np.concatenate(residuals))))
     means = np.array([block.mean() for block in blocks])
     return Level(float(np.median(y)), noise, float(means.std(ddof=1) / np.sqrt(len(means))))

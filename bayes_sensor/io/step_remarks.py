@@ -20,7 +20,7 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
 
     ``falls_back``: whether it was said already that a fall has no command.
     """
-    if e.y is None or e.commands is not None:
+    if e.y is None or (e.commands is not None and e.commands.recorded):
         return []
     steps = find_steps(e.t[e.used], e.y[e.used])
     if not steps:
@@ -31,8 +31,6 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
         for before, step in zip((None, *steps), steps)
         if abs(step.height) >= AS_LARGE * largest and not _settles(before, step)
     )
-    if e.commands is not None and e.commands.recorded:
-        return []
     late = _late(e, steps, where)
     return late or ([] if falls_back else _uncommanded(e, steps, where))
 
@@ -59,7 +57,10 @@ def _late(e: Experiment, steps: Sequence[Step], where: str) -> list[str]:
     """A remark if the signal has passed a tenth of a step before the step was commanded."""
     remarks = []
     commands = commands_of(e)
-    if len(steps) > max(len(commands), 2):
+    # of a programme each step has a command only where none is small, merged or a disturbance
+    if len(steps) > max(len(commands), 2) or (
+        e.commands is not None and len(steps) != len(commands)
+    ):
         return []
     for (key, command), mine in zip(commands, steps):
         if mine.tenth < command - e.interval:

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from bayes_sensor.campaign import FloatArray
 
@@ -28,6 +29,8 @@ LEAST = 0.1
 """of the range: a smaller change is no step"""
 WANDER = 8.0
 """times the noise: the extremes of a long record of noise are as far apart"""
+HIDDEN = 0.8
+"""of the range: where a step would have to be larger than that, all that is seen may be wander"""
 PART = 100
 """parts of a record, over one of which its wander is measured"""
 SHORTEST = 0.01
@@ -90,6 +93,8 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
         return ()
     wander = _wander(y)
     least = max(LEAST * span, WANDER * max(noise, wander))
+    if least > HIDDEN * span:
+        return ()
     noise = max(noise, wander)
     turns = _turning_points(y, least)
     steps: list[Step] = []
@@ -103,9 +108,14 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
 
 
 def _wander(y: FloatArray) -> float:
-    """V, standard deviation of what a record does over a hundredth of its length, steps apart."""
+    """V, standard deviation of what a record does over a hundredth of its length, steps apart.
+
+    From the median of its changes, or from their lower quartile where that says less: in a train of
+    pulses the signal moves for most of the time.
+    """
     apart = max(len(y) // PART, 1)
-    return 1.4826 * float(np.median(np.abs(y[apart:] - y[:-apart])) / np.sqrt(2.0))
+    changes = np.abs(y[apart:] - y[:-apart]) / np.sqrt(2.0)
+    return float(np.min(np.percentile(changes, [50, 25]) / norm.ppf([0.75, 0.625])))
 
 
 def _held(t: FloatArray, y: FloatArray, steps: list[Step], least: float) -> tuple[Step, ...]:

@@ -186,3 +186,13 @@ def test_bad_input_is_one_message_and_leaves_nothing(
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
     assert not out.exists()
+
+
+def test_results_without_a_posterior_are_told_what_is_missing(
+    record: Path, tmp_path: Path, capsys: Any
+) -> None:
+    fitted = tmp_path / "fitted"
+    fitted.mkdir()
+    (fitted / "campaign.json").write_text("{}")
+    assert run("restore", fitted, record, "--out", tmp_path / "out") == 2
+    assert "expected results with posterior.nc, but there is none" in capsys.readouterr().err

@@ -362,7 +362,10 @@ def test_hostile_names_are_only_names(tmp_path: Path) -> None:
 
 MISTAKES: dict[str, tuple[str, str]] = {
     "bare number": (entry(carrier_flow="4.0"), 'bare number 4; write carrier_flow = "4 L/min"'),
-    "no unit": (entry(carrier_flow='"4.0"'), 'without one; write carrier_flow = "4.0 L/min"'),
+    "no unit": (
+        entry(carrier_flow='"4.0"'),
+        'without one; add the unit that is meant, as in carrier_flow = "4.0 L/min"',
+    ),
     "flow in seconds": (entry(carrier_flow='"4.0 s"'), r"carrier_flow: .* in 's', which is not"),
     "time in litres": (entry(commanded_on='"2 L"'), "commanded_on: expected a time"),
     "unknown unit": (entry(carrier_flow='"4 lpq"'), "'lpq' is not a unit that is known"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_sensor.campaign import Experiment
+from bayes_sensor.experiment import Commands
 from bayes_sensor.io.step_remarks import step_remarks
 
 T = np.round(0.01 * np.arange(9000), 6)
@@ -64,3 +65,21 @@ def test_a_small_disturbance_an_overshoot_and_an_unknown_command_are_left_alone(
     assert step_remarks(record([(20.0, 1.0)]), "x") == []
     assert step_remarks(record(PULSE, commanded_on=19.0), "x", falls_back=True) == []
     assert step_remarks(replace(record(PULSE), y=None), "x") == []
+
+
+def test_a_pulse_of_a_train_without_its_commands_is_remarked_on() -> None:
+    switches = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
+    steps = [(at, 1.0 if i % 2 == 0 else -1.0) for i, at in enumerate(switches)]
+
+    def commanded(times: list[float]) -> Commands:
+        return Commands(np.array(times), np.tile([1.0, 0.0], len(times) // 2))
+
+    assert step_remarks(record(steps, commands=commanded(switches)), "x") == []
+    (said,) = step_remarks(record(steps, commands=commanded(switches[:2] + switches[4:])), "x")
+    assert "6 steps are seen" in said and "4 are commanded" in said
+    (late,) = step_remarks(record(steps, commands=commanded([13.0, *switches[1:]])), "x")
+    assert "13 s comes after the step that it commands" in late
+    # a small step of a staircase, which is not counted, moves no command to another step
+    stairs = [(10.0, 1.0), (30.0, 0.2), (50.0, 1.0)]
+    told = Commands(np.array([10.0, 30.0, 50.0]), np.array([1.0, 1.2, 2.2]))
+    assert step_remarks(record(stairs, commands=told), "x") == []

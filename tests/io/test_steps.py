@@ -74,3 +74,17 @@ def test_a_spike_is_no_step_and_neither_is_a_constant() -> None:
 def test_a_drift_is_not_sudden() -> None:
     (drift,) = find_steps(T, np.clip(T - 10.0, 0.0, 40.0))
     assert not drift.sudden
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_pulses_that_hardly_settle_are_counted_or_none_is_told(seed: int) -> None:
+    """Where the signal moves for most of a record, its median change says nothing of the noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(5040.0)
+    on = ((t - 120.0) % 480.0 < 240.0) & (t >= 120.0) & (t < 4920.0)
+    for lag, counts in ((45.0, {20}), (60.0, {0, 20}), (90.0, {0, 20})):
+        b = np.exp(-1.0 / lag)
+        y = lfilter([1.0 - b], [1.0, -b], 600.0 * on) + lfilter(
+            [2.4], [1.0, -0.6], rng.normal(size=len(t))
+        )
+        assert len(find_steps(t, y)) in counts

@@ -229,10 +229,11 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
 
 def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
     if not unit.strip():
-        example_unit = kind.example.split()[-1]
+        example = f'"{_shorten(text)} {kind.example.split()[-1]}"'
+        written = f"{key} {example}" if key.startswith("--") else f"{key} = {example}"
         raise CampaignError(
             f"{key}: expected {kind.name} with its unit, but got '{_shorten(text)}' without one; "
-            f'write {key} = "{_shorten(text)} {example_unit}"'
+            f"add the unit that is meant, as in {written}"
         )
     try:
         factor = conversion_factor(unit.strip(), kind.unit)
