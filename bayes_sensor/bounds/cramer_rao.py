@@ -188,11 +188,11 @@ def _finite(
     central."""
     layout = problem.layout
     total = np.zeros((len(differences), layout.n_mean, layout.n_mean))
+    fastest = fastest_beside_tau(problem, vector)
     for k, e in enumerate(problem.campaign):
         local = layout.local[k]
         index = np.array([*layout.shared[k], *local[local >= 0]])
         beta = vector[local[1]]
-        fastest = fastest_beside_tau(problem, vector)
         base = _response(problem, vector, k, method)
         J = np.empty((len(differences), len(index), len(e.t)))
         for row, i in enumerate(index):

@@ -9,7 +9,7 @@ Diagnostics, 1980, ch. 3.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,9 +155,6 @@ def explain_tau(
     problem = as_problem(campaign)
     refuse_held(problem, "explain_tau")
     layout = problem.layout
-    # information needs no data
-    bare = tuple(replace(e, y=None, drive=None) for e in problem.campaign)
-    design = replace(problem, campaign=replace(problem.campaign, experiments=bare))
     if layout.sensors_are_named:
         raise CampaignError(
             "explain_tau: there are several sensors; give it a campaign with one of them"
@@ -171,7 +168,7 @@ def explain_tau(
     at = vector.copy()
     beside = max((tau, *problem.commuting.lags(vector)[1:].tolist()))
     at[own] = max(tau, 1e-3 * beside)
-    bound = cramer_rao(design, at, sigma, noise=noise)
+    bound = cramer_rao(problem, at, sigma, noise=noise)
     others = [i for i in range(layout.n_mean) if i != own]
     diagonal = np.diag(bound.information)
     scale = 1.0 / np.sqrt(diagonal)
@@ -197,7 +194,7 @@ def explain_tau(
             known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
     sd_square = sd_of_square(bound, layout, float(at[own]))
     by_tau = pd.DataFrame(
-        [_at_tau(design, at, float(t), sigma, noise) for t in _taus(at[own], beside, sd_square)]
+        [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at[own], beside, sd_square)]
     )
     ordered = problem.commuting.by_size(vector)
     lags = problem.commuting.without_volumes.places

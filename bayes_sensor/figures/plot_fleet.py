@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from bayes_sensor.figures.colours import BLUE, GREEN, GROUND, INK, MIDDLE, ORANGE
 from bayes_sensor.figures.labels import shortened
-from bayes_sensor.figures.quoted_tau import quoted_tau
+from bayes_sensor.figures.quoted_tau import has_cause, quoted_tau
 from bayes_sensor.figures.style import beside, panels, style
 
 MOST_NAMES = 60
@@ -41,14 +41,14 @@ def forest(rows: Sequence[Mapping[str, Any]], median_s: float | None = None) -> 
             kind, colour = _kind(row)
             low, middle, high = quoted_tau(row)
             if row["tau_is_limit"]:
-                upper = row["tau_upper95_s"] if row.get("tau_with_cause_s") is None else high
+                upper = high if has_cause(row) else row["tau_upper95_s"]
                 axes.plot([0.0, 1e3 * upper], [i, i], color=colour, lw=thick[0])
                 if named:
                     axes.plot(1e3 * upper, i, "<", color=colour, ms=4.5)
                 line = axes.plot(1e3 * middle, i, "|", color=colour, ms=5 if named else 1.5)
             else:
                 spans = [(low, high, thick[0])]
-                if row.get("tau_with_cause_s") is None:
+                if not has_cause(row):
                     spans.append((row["tau_lo68_s"], row["tau_hi68_s"], thick[1]))
                 for begin, end, width in spans:
                     axes.plot(
@@ -95,7 +95,7 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, str]:
         return "not converged", MIDDLE
     if row["tau_is_limit"]:
         return "upper limit", ORANGE
-    if row.get("tau_with_cause_s") is not None:
+    if has_cause(row):
         return "with a cause found, 95 %", INK
     if row.get("gap") in (None, "none"):
         return "median, 68 %, 95 %", BLUE

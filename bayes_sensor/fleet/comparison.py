@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.figures.quoted_tau import quoted_tau
+from bayes_sensor.figures.quoted_tau import has_cause, quoted_tau
 from bayes_sensor.fleet.outcome import COLUMNS, DONE, FAILED, NOT_CONVERGED
 from bayes_sensor.io.csv_text import csv_text
 from bayes_sensor.io.json_files import json_text
@@ -74,10 +74,12 @@ def comparison(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _sd(row: Row) -> float:
     """s, of :func:`quoted_tau`; from the width of the interval where no draws stand behind it."""
-    if row.get("tau_with_cause_s") is None:
+    from bayes_sensor.bounds.gaussian_intervals import normal_factor
+
+    if not has_cause(row):
         return float(row["tau_sd_s"])
     low, _, high = quoted_tau(row)
-    return (high - low) / (2.0 * 1.96)
+    return (high - low) / (2.0 * normal_factor(0.95))
 
 
 def sentences(found: Mapping[str, Any]) -> list[str]:
@@ -140,8 +142,7 @@ SHOWN = (
 
 def _shown(row: Row) -> list[float | None]:
     values = dict(row)
-    if row.get("tau_with_cause_s") is not None:
-        values["tau_lo95_s"], values["tau_s"], values["tau_hi95_s"] = quoted_tau(row)
+    values["tau_lo95_s"], values["tau_s"], values["tau_hi95_s"] = quoted_tau(row)
     return [None if values[key] is None else factor * values[key] for _, key, factor in SHOWN]
 
 

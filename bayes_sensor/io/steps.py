@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from bayes_sensor.campaign import FloatArray
 
@@ -115,7 +115,8 @@ def _wander(y: FloatArray) -> float:
     """
     apart = max(len(y) // PART, 1)
     changes = np.abs(y[apart:] - y[:-apart]) / np.sqrt(2.0)
-    return float(np.min(np.percentile(changes, [50, 25]) / norm.ppf([0.75, 0.625])))
+    ends = [NormalDist().inv_cdf(p) for p in (0.75, 0.625)]
+    return float(np.min(np.percentile(changes, [50, 25]) / ends))
 
 
 def _held(t: FloatArray, y: FloatArray, steps: list[Step], least: float) -> tuple[Step, ...]:

@@ -92,7 +92,7 @@ class InputPosterior:
 
     def __init__(self, samples: FilterSamples, order: int, lags: FloatArray) -> None:
         self.samples, self.order, self.lags = samples, order, lags
-        self.duration = float(samples.steps[samples.which[1:]].sum())
+        self.duration = float(samples.t[-1])
         seen = samples.y[np.isfinite(samples.y)]
         # noise from second differences: what is smooth leaves them
         rough = float(np.sqrt(np.mean(np.diff(seen, 2) ** 2) / 6.0)) if len(seen) > 4 else 0.1

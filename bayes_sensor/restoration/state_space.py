@@ -124,9 +124,14 @@ class FilterSamples:
         return np.asarray(self.counts * self.unit)
 
     @property
+    def _places(self) -> np.ndarray:
+        """(n,) units since the first sample."""
+        return np.concatenate([[0], np.cumsum(self.counts[self.which[1:]])])
+
+    @property
     def t(self) -> FloatArray:
         """(n,) s since the first sample."""
-        return np.concatenate([[0.0], np.cumsum(self.steps[self.which[1:]])])
+        return np.asarray(self._places * self.unit)
 
     def with_input(
         self, places: np.ndarray, values: FloatArray, errors: FloatArray
@@ -157,8 +162,7 @@ class FilterSamples:
             return self
         period = int(np.ceil(n * BURST / most))
         kept = np.flatnonzero(np.arange(n) % period < BURST)
-        places = np.concatenate([[0], np.cumsum(self.counts[self.which[1:]])])[kept]
-        counts, which = distinct_steps(places)
+        counts, which = distinct_steps(self._places[kept])
         return FilterSamples(
             self.y[kept], self.unit, counts, which, self.level[kept], self.interval,
             self.direct[kept], self.error[kept],

@@ -113,14 +113,17 @@ def column_remarks(entries: Sequence[ExperimentTable]) -> list[str]:
     """Remarks on experiments that read two columns of one file with the same commands: these may be
     two sensors, which as two experiments would share one tau."""
     found = []
-    for i, entry in enumerate(entries):
-        for other in entries[:i]:
+    of_file: dict[str, list[ExperimentTable]] = {}
+    for entry in entries:
+        if entry.file is None or entry.signal is None:
+            continue
+        earlier = of_file.setdefault(entry.file, [])
+        for other in earlier:
             one_run = all(
                 getattr(entry, key) == getattr(other, key)
-                for key in ("file", "time", "keep", "commanded_on", "commanded_off", "steps")
+                for key in ("time", "keep", "commanded_on", "commanded_off", "steps")
             )
-            told = entry.signal is not None and other.signal is not None
-            if entry.file is not None and one_run and told and entry.signal != other.signal:
+            if one_run and entry.signal != other.signal:
                 found.append(
                     f"experiments '{other.name}' and '{entry.name}': two columns of {entry.file} "
                     "with the same commands; if they are two sensors on one gas, write one "
@@ -128,4 +131,5 @@ def column_remarks(entries: Sequence[ExperimentTable]) -> list[str]:
                     "as two experiments they share one tau"
                 )
                 break
+        earlier.append(entry)
     return found
