@@ -335,20 +335,29 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
 
 def _medians(power: FloatArray, centres: FloatArray, halves: FloatArray) -> FloatArray:
     # (n_centres,) of the power around each centre, to half a width on both sides
-    found = np.empty(len(centres))
-    for i in range(len(centres)):
-        centre, half = centres[i], halves[i]
-        low, high = int(max(centre - half, 1.0)), int(min(centre + half, float(len(power)))) + 1
-        window = power[low:high]
-        step = max(1, len(window) // 400)
-        middle = np.median(window[::step])
-        # where a filter cuts the noise off, the louder side is no line above the quieter one
-        louder = 0.0
-        at = int(centre) - low
-        for side in (window[:at], window[at:]):
-            if len(side) > 0.5 * half:
-                louder = max(louder, float(np.median(side)))
-        found[i] = louder if louder > EDGE * middle else middle
+    low = np.maximum(centres - halves, 1.0).astype(int)
+    high = np.minimum(centres + halves, float(len(power))).astype(int) + 1
+    high = np.minimum(high, len(power))
+    middle = _median_of_each(power, low, high, most=400)
+    # where a filter cuts the noise off, the louder side is no line above the quieter one
+    louder = np.zeros(len(centres))
+    at = np.minimum(centres.astype(int), high)
+    for first, last in ((low, at), (at, high)):
+        long = last - first > 0.5 * halves
+        louder[long] = np.maximum(louder[long], _median_of_each(power, first[long], last[long]))
+    return np.where(louder > EDGE * middle, louder, middle)
+
+
+def _median_of_each(
+    values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], most: int | None = None
+) -> FloatArray:
+    """(n_windows,) medians of ``values[first:last]``, of about ``most`` values of each window."""
+    found = np.empty(len(first))
+    for length in np.unique(last - first):  # windows of one length at once
+        rows = last - first == length
+        step = max(1, length // most) if most else 1
+        at = first[rows, None] + np.arange(0, length, step)
+        found[rows] = np.median(values[at], axis=1)
     return found
 
 
