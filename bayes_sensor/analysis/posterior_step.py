@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_sensor.analysis.job import Job, Progress
 from bayes_sensor.analysis.response_time_record import response_time_record
 from bayes_sensor.analysis.saved_records import put_record
 from bayes_sensor.io.results import StagingFolder
+
+if TYPE_CHECKING:
+    from bayes_sensor.fit import Fit
+    from bayes_sensor.likelihood.problem import Problem
 
 LOG = logging.getLogger(__name__)
 
@@ -29,7 +33,7 @@ def run_fast(job: Job) -> None:
 
 
 def run_posterior(job: Job) -> None:
-    from bayes_sensor.posterior import sample_posterior
+    from bayes_sensor.posterior import FASTEST, sample_posterior
 
     methods = job.overrides.bounds.methods
     if job.command == "bounds" and methods is not None:
@@ -37,12 +41,17 @@ def run_posterior(job: Job) -> None:
 
         if not any(METHODS[name].needs_posterior for name in methods):
             return
+    problem, sampler = job.problem, job.overrides.posterior.sampler
     with job.timed("posterior") as tell, job.muted():
+        if job.options.get("with_effects"):
+            problem, job.fit = _with_effects_asked(job, tell)
+            if "sampler" not in job.overrides.posterior.model_fields_set:
+                sampler = FASTEST  # a value of such a model costs forty times one of the chain's
         job.posterior = sample_posterior(
-            _with_effects_asked(job),
+            problem,
             job.fit,
             seed=job.seed,
-            sampler=job.overrides.posterior.sampler,
+            sampler=sampler,
             settings=job.overrides.sampler_settings(),
             jobs=job.jobs if job.ahead is None else 1,  # the other process diagnoses the gap
             checkpoint=job.checkpoint,
@@ -121,16 +130,20 @@ def saved_spreads(job: Job) -> SavedSpreads | None:
     return SavedSpreads(saved["parameters"]) if saved is not None and saved["converged"] else None
 
 
-def _with_effects_asked(job: Job) -> Any:
-    """The problem of the posterior: with the effects that were asked for in its model."""
-    names = job.options.get("with_effects") or ()
-    if not names:
-        return job.problem
+def _with_effects_asked(job: Job, tell: Progress) -> tuple[Problem, Fit]:
+    """The problem with the effects that were asked for in its model, and its own fit: misfit and
+    noise are then judged with the effects in."""
     from bayes_sensor.diagnosis.effects.effect_model import with_effects
+    from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.rig.layout import Layout
 
     theta = Layout.of(job.problem.campaign).flat(job.fit.theta_hat[: job.problem.layout.n_mean])
-    return with_effects(job.problem, names, theta)
+    problem = with_effects(job.problem, job.options["with_effects"], theta)
+    asked = job.overrides.fit
+    fit = fit_least_squares(
+        problem, job.seed, asked.swarms, asked.particles, euler=False, progress=tell
+    )
+    return problem, fit
 
 
 def save_posterior(job: Job, stage: StagingFolder) -> None:

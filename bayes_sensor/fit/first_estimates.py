@@ -14,6 +14,8 @@ from bayes_sensor.likelihood.switch_ranges import step_begin, step_end, switch_r
 
 LEAST_TAU = 0.1
 """lower bound of tau in sampling intervals, far below what samples can resolve"""
+LEAST_SHARE = 1e-6
+"""lower bound of a model's own parameter, of its prior's median, where the prior begins at zero"""
 DRIFT = 0.2
 """of the step, between the two halves after its middle; above it the plateau is not reached (the
 step lasts less than three lags)"""
@@ -164,9 +166,10 @@ def initial_bounds(
             bounds[name] = (min(low, known[0]), max(high, known[1]))
     for name in layout.extra:
         law = problem.priors[name].law if name in problem.priors else None
-        bounds[name] = (
-            (-inf, inf) if law is None else (float(law.ppf(1e-4)), float(law.ppf(1 - 1e-4)))
-        )
+        bounds[name] = (-inf, inf)
+        if law is not None:  # all that the prior allows, but for a zero that models divide by
+            low, high = law.support()
+            bounds[name] = (low or LEAST_SHARE * law.median(), high)
     bounds = {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
     for name, pair in (given or {}).items():
         if name not in bounds:

@@ -11,7 +11,7 @@ cannot be zero, its coordinate is log sigma1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log, pi, sqrt
 
@@ -146,6 +146,39 @@ class Laplace:
                 break
         psi[:, order] = self.mean[order] + (z * self.coordinates.signs(self.theta)[order]) @ L.T
         return self.coordinates.theta(psi), log_q
+
+    def refitted(self, thetas: FloatArray, log_weights: FloatArray) -> Laplace:
+        """The Gaussian fitted to draws (n, n_theta) of this one by their log weights (n,).
+
+        What is drawn from a cut law (squares, what has limits) keeps its law; mean and spread of
+        the rest are regressed on it.  Weights are cut at sqrt(n) of their mean (Ionides, J.
+        Comput. Graph. Stat. 17, 2008), and the old Gaussian counts as one draw a coordinate.
+        """
+        inside = np.isfinite(log_weights)
+        weight = np.exp(log_weights[inside] - np.max(log_weights[inside]))
+        weight = np.minimum(weight, weight.mean() * sqrt(len(weight)))
+        weight /= weight.sum()
+        psi = self.coordinates.psi(thetas[inside])
+        n_cut = len(self.coordinates.squared) + len(self.coordinates.limited)
+        cut, rest = self.order[:n_cut], self.order[n_cut:]
+        away, kept = psi[:, cut] - self.mean[cut], self.cov[np.ix_(cut, cut)]
+        known = np.column_stack([np.ones(len(psi)), away / np.sqrt(np.diag(kept))])
+        root = np.sqrt(weight)[:, None]
+        slopes = np.linalg.lstsq(known * root, psi[:, rest] * root, rcond=None)[0]
+        left = psi[:, rest] - known @ slopes
+        slopes[1:] /= np.sqrt(np.diag(kept))[:, None]
+        mean, cov = self.mean.copy(), self.cov.copy()
+        mean[rest] = slopes[0]
+        cov[np.ix_(cut, rest)] = kept @ slopes[1:]
+        cov[np.ix_(rest, cut)] = cov[np.ix_(cut, rest)].T
+        cov[np.ix_(rest, rest)] = (left.T * weight) @ left + slopes[1:].T @ kept @ slopes[1:]
+        n = 1.0 / float(np.sum(weight**2))
+        share = n / (n + len(mean))
+        return replace(
+            self,
+            mean=share * mean + (1.0 - share) * self.mean,
+            cov=share * cov + (1.0 - share) * self.cov,
+        )
 
 
 def log_posteriors(

@@ -58,8 +58,8 @@ def sample_posterior(
     ----------
     fit
         where to start: a Fit (its ``theta_hat``), or anything that ``theta`` may be; None fits
-        first.  A fit of the cascade also serves a model with further parameters: these are
-        fitted from there.
+        first.  A vector of the cascade also serves a model with further parameters: these are
+        fitted from there.  A Fit of another model is replaced by one of this.
     sampler
         a key of :data:`SAMPLERS`; :mod:`bayes_sensor.posterior` describes each.
     jobs
@@ -129,8 +129,8 @@ def _sampled(
     if problem.campaign.is_design:
         raise CampaignError("a design has no data to condition on; simulate or measure it first")
     report = progress or (lambda fraction, text: None)
-    if fit is None:
-        fit = fit_least_squares(problem, seed=seed)
+    if fit is None or (isinstance(fit, Fit) and len(fit.theta_hat) != len(problem.layout)):
+        fit = fit_least_squares(problem, seed=seed)  # misfit and noise are those of this model
     # side information that the data contradict is reported and left out
     problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior

@@ -253,7 +253,7 @@ def test_the_k_hat_gate_hands_over_to_hmc(monkeypatch) -> None:
     problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
     posterior = sample_posterior(problem, theta, sampler="independence", settings=QUICK)
     assert posterior.sampler == "hmc" and posterior.converged
-    assert "given up: Pareto k-hat" in posterior.reasons[0]
+    assert "given up, refitted 5 times to its draws: Pareto k-hat" in posterior.reasons[0]
     assert posterior.reasons[1].startswith("Hamiltonian")
 
 
