@@ -235,6 +235,8 @@ def _first_good(
         # where the Laplace approximation has no overlap with the priors, its scales mislead
         if other.rests_on_laplace and not len(run.chains):
             continue
+        if other.by_gradient and not target.compressed.has_compiled_gradient:
+            continue
         chosen, run = other, other.run(target)
         reasons.append(run.reason)
     return chosen.name, run, reasons

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import bayes_sensor.posterior.samplers.independence as independence
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import (
@@ -22,6 +23,7 @@ from bayes_sensor.posterior.agreement import r_hat_between
 from bayes_sensor.posterior.laplace import Laplace, approximate
 from bayes_sensor.posterior.samplers.hmc import MOST_OUTSIDE
 from tests.support.campaigns import small_problem
+from tests.support.other_rigs import CASES
 
 SETTINGS = Settings(n_chains=2)
 
@@ -162,3 +164,38 @@ def test_hmc_off_the_mesh_ends_after_a_counted_number_of_evaluations(
     run = SAMPLERS["hmc"].run(target)
     assert not run.good and "leave the mesh" in run.reason and len(run.chains) == 0
     assert 0 < len(slow) <= MOST_OUTSIDE
+
+
+def test_independence_refits_a_proposal_that_misses_and_then_agrees() -> None:
+    problem, theta = small_problem(0.5, sigma=0.01, n=2)
+    laplace, mesh = approximate(problem, theta)
+    moved = replace(laplace, mean=laplace.mean + 0.8 * np.linalg.cholesky(laplace.cov).sum(axis=1))
+    runs = {}
+    for name, proposal in (("right", laplace), ("moved", moved)):
+        target = Target(
+            problem, theta, proposal, mesh, SETTINGS, 1, np.random.SeedSequence(1), lambda *_: None
+        )
+        runs[name] = SAMPLERS["independence"].run(target)
+    assert runs["right"].good
+    assert runs["moved"].good and "refitted" in runs["moved"].reason
+    assert runs["moved"].k_hat is not None and runs["moved"].k_hat < 0.5
+    first, second = (r.chains.reshape(-1, len(problem.layout)) for r in runs.values())
+    np.testing.assert_allclose(
+        (first.mean(axis=0) - second.mean(axis=0)) / first.std(axis=0), 0.0, atol=0.3
+    )
+    np.testing.assert_allclose(second.std(axis=0) / first.std(axis=0), 1.0, atol=0.25)
+
+
+def test_hmc_takes_over_only_where_its_gradient_is_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(independence, "K_HAT_LIMIT", -np.inf)
+    problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
+    found = fast_posterior(problem, theta, settings=SETTINGS)
+    assert found is not None and found.sampler == "hmc"
+    campaign = CASES["sensor"]().simulated()
+    assert fast_posterior(campaign, settings=SETTINGS) is None
+    full = sample_posterior(campaign, sampler="independence", settings=SETTINGS)
+    assert full.sampler == "emcee" and len(full.reasons) == 2
+    asked = sample_posterior(campaign, sampler="hmc", settings=SETTINGS)
+    assert asked.sampler == "hmc" and asked.converged

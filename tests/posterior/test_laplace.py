@@ -182,6 +182,34 @@ def test_weights_of_the_proposal_are_even() -> None:
     assert weights.sum() ** 2 / (weights**2).sum() > 0.5 * 3000
 
 
+def test_a_gaussian_in_the_wrong_place_is_refitted_to_its_draws() -> None:
+    problem, theta = small_problem(0.5, n=2)
+    right, mesh = approximate(problem, theta)
+    rest = right.order[2:]
+    assert len(right.coordinates.squared) == 2 and not len(right.coordinates.limited)
+    mean = right.mean.copy()
+    mean[rest] += 0.5 * np.linalg.cholesky(right.cov)[rest] @ np.ones(len(mean))
+    moved = replace(right, mean=mean, cov=1.5 * right.cov)
+
+    def effective(laplace: Laplace) -> tuple[float, np.ndarray, np.ndarray]:
+        draws, log_q = laplace.draw(1600, np.random.default_rng(1), inflate=1.1)
+        log_w = log_posteriors(mesh, laplace.coordinates, draws, roots=True) - log_q
+        weights = np.exp(log_w - log_w.max())
+        return weights.sum() ** 2 / (weights**2).sum(), draws, log_w
+
+    before, draws, log_w = effective(moved)
+    log_w[::100] = -np.inf  # outside the priors
+    after = moved
+    for _ in range(4):
+        after = after.refitted(draws, log_w)
+        share, draws, log_w = effective(after)
+    assert before < 300.0 < 800.0 < share
+    # what is drawn from a cut law keeps it, the given matrix stays symmetric
+    cut = right.coordinates.squared
+    np.testing.assert_allclose(after.cov[np.ix_(cut, cut)], moved.cov[np.ix_(cut, cut)])
+    np.testing.assert_allclose(after.cov, after.cov.T, rtol=1e-12, atol=0.0)
+
+
 def test_the_prior_pulls_the_expansion() -> None:
     problem, theta = small_problem(0.5, n=2)
     plain, _ = approximate(problem, theta)

@@ -87,6 +87,11 @@ class Compressed:
         """Nodes of all experiments together."""
         return len(self.arrays.base) * K
 
+    @property
+    def has_compiled_gradient(self) -> bool:
+        """Whether a gradient costs little more than a value; else it costs tens of them."""
+        return self._cascade and self.arrays.is_pulse
+
     def covers(self, theta: FloatArray) -> bool:
         """Whether the mesh was built for this flat vector (n_theta,)."""
         return bool(cascade_kernels.inside_box(theta, self.arrays.low, self.arrays.high))
@@ -185,7 +190,7 @@ class Compressed:
         if not self.covers(vector):
             return self._full(vector), self._full_gradient(vector)
         gradient = np.zeros(len(vector))
-        if self._cascade and self.arrays.is_pulse:
+        if self.has_compiled_gradient:
             value = cascade_kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
             if not np.isnan(value):
                 return value, gradient

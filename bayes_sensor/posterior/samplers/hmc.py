@@ -218,4 +218,4 @@ def _leapfrog(
     return state, probability
 
 
-SAMPLER = Sampler("hmc", run_hmc, rests_on_laplace=True)
+SAMPLER = Sampler("hmc", run_hmc, by_gradient=True, rests_on_laplace=True)

@@ -71,6 +71,8 @@ class Sampler:
     name: str
     """what ``sampler=`` and ``--sampler`` take, and ``posterior.json`` says"""
     run: Callable[[Target], Run]
+    by_gradient: bool = False
+    """whether its steps take gradients, so that it takes over only where these are compiled"""
     rests_on_laplace: bool = False
     """whether the Laplace approximation sets its scales, so that it is not tried where no draw of
     that approximation lies inside the priors"""
