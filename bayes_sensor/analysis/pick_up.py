@@ -39,7 +39,7 @@ def pick_up(job: Job) -> bool:
         if not taken:
             break  # what comes later rests on it
         job.done.append(name)
-    if "posterior" not in job.done and "fast" in job.done:
+    if "posterior" not in job.done and "fast" in job.done and not job.quick:
         job.done.remove("fast")  # the other sampler begins from it
     seconds = entry.get("seconds", {})
     job.seconds |= {name: seconds[name] for name in job.done if name in seconds}
@@ -56,11 +56,14 @@ def _is_same(job: Job, entry: Mapping[str, Any]) -> bool:
 def _take_over(job: Job, name: str, digest: str) -> bool:
     """Put the saved result of a step into ``job``; whether there is one."""
     assert job.results is not None
-    if name in ("fast", "lags"):  # the fit's record has the number of lags
-        return True
-    found = read_record(job.results.folder, name, job.problem.campaign, digest)
+    if name == "lags" or (name == "fast" and not job.quick):
+        return True  # the fit's record has the number of lags
+    kept = "posterior" if name == "fast" else name
+    found = read_record(job.results.folder, kept, job.problem.campaign, digest)
     if found is None:
         return False
+    if name == "fast":
+        job.posterior = found
     if name == "bounds":
         record = job.results.json("bounds.json")
         found = None if record is None else (found, record)

@@ -141,7 +141,7 @@ def test_every_stage_has_one_line_in_order_and_no_control_character(
     # tau with its interval, before what takes long
     for stage in ("fast posterior", "posterior"):
         assert re.search(r"tau = [\d.]+ ms, 95 % interval \[\d+, \d+\] ms", told[stage]), stage
-    assert "emcee began from draws of hmc and agrees with them" in told["posterior"]
+    assert "emcee began from draws of independence and agrees with them" in told["posterior"]
     assert told["bounds"].startswith("3 methods side by side")
     assert told["gap"] == "not diagnosed: gap: too short"
     assert told["report"] == str(place / "whole" / "report.html")
@@ -171,7 +171,7 @@ def has_the_first(n: int, out: Path) -> None:
 def test_a_killed_process_leaves_the_fast_posterior(early: Path) -> None:
     has_the_first(2, early)
     found = json.loads((early / "posterior.json").read_text())
-    assert found["converged"] and found["sampler"] in ("hmc", "emcee")
+    assert found["converged"] and found["sampler"] in ("independence", "emcee")
     assert bs.load(early).posterior.sampler == found["sampler"]
 
 
@@ -254,7 +254,7 @@ def test_quick_ends_with_the_fast_posterior_and_the_rest_can_follow(
     found = [match[1] for line in lines if (match := LINE.fullmatch(line))]
     assert found == ["fit", "fast posterior", "checks", "report"]
     posterior = json.loads((out / "posterior.json").read_text())
-    assert posterior["sampler"] == "hmc" and posterior["began_from"] is None
+    assert posterior["sampler"] == "independence" and posterior["began_from"] is None
     assert not {"bounds.json", "gap.json"} & {p.name for p in out.iterdir()}
     assert {p.name for p in out.glob("figures/*")} <= {"chain.svg"}
     assert "tau" in (out / "report.html").read_text(encoding="utf-8")
@@ -268,6 +268,9 @@ def test_quick_ends_with_the_fast_posterior_and_the_rest_can_follow(
     for name in ("fit", "lags", "residuals"):
         monkeypatch.setitem(run_steps.TAKE, name, again)
     monkeypatch.setitem(run_steps.TAKE, "fast", kill)
+    # a quick run that goes on with a finished one computes nothing
+    assert run(*arguments(place, out, "--quick", "--resume")) == 0
+    assert (out / "posterior.json").read_bytes() == left.get("posterior.json")
     with pytest.raises(Killed):
         run(*arguments(place, out, "--quiet", "--resume"))
 
