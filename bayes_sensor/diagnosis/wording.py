@@ -326,6 +326,7 @@ def _family(found: Conclusion) -> list[str]:
         likeliest = found.probabilities.effects[named[0]]
         words = family_words(named, probability, likeliest, place, leading.same_response, first)
         said = [words, *form_words(found.comparison, named)]
+        said += instead_words(named, found.probabilities, catalogue)
     on_noise = [
         effect_sentence(catalogue[f.name], f.strength, found.comparison.binned, found.unit)
         for f in found.findings
@@ -410,6 +411,27 @@ def second_words(
         f"Beside it something else is likely, of the family {other} ({100.0 * others[other]:.0f} "
         f"%), most likely {words}."
     ]
+
+
+def instead_words(
+    named: Sequence[str], combined: Probabilities, catalogue: Mapping[str, Effect]
+) -> list[str]:
+    """The sentence on the likeliest effect of another family in place of those that are named.
+
+    Empty where an unlisted cause is likelier.
+    """
+    own = {catalogue[n].family for n in named}
+    shares: dict[str, float] = {}
+    for row, p in combined.rows.items():
+        effects = [catalogue[n] for n in row.split("+") if n in catalogue]
+        if not own & {effect.family for effect in effects}:
+            for effect in effects:
+                if effect.on_mean:
+                    shares[effect.name] = shares.get(effect.name, 0.0) + p
+    rival = max(shares, key=lambda name: shares[name], default=None)
+    if rival is None or shares[rival] <= max(combined.unlisted, combined.none):
+        return []
+    return [f"If it is not that, {with_alternative(catalogue[rival])} ({percent(shares[rival])})."]
 
 
 def undecided_words(place: str, combined: Probabilities) -> str:

@@ -130,7 +130,8 @@ def warn(
             continue
         miss, share = _lack_of_fit(e, r, scale, looks[k].rise or usual, len(campaign))
         if share > 0.0 and miss > 0.005 * beta:
-            percent = 100.0 * miss / beta
+            # a fit that is wrong altogether may have next to no step
+            percent = 100.0 * miss / max(beta, abs(looks[k].step), miss)
             digits = 0 if percent >= 10.0 else 1
             warnings.append(
                 f"Experiment '{e.name}': the model does not describe the trace everywhere; it "

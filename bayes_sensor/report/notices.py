@@ -139,10 +139,16 @@ def _plain(text: str) -> str:
     return typeset(text).strip().removesuffix(".").casefold()
 
 
+def _numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(r"\d+(?:\.\d+)?", text)]
+
+
 def _together(rows: list[tuple[str, str]]) -> str:
     """One sentence for all that share a remark."""
     whose = [who for who, _ in rows if who]
     words = rows[0][1]
+    if " up to " in words:  # of all
+        words = max((told for _, told in rows), key=_numbers)
     if not whose:
         return sentence(typeset(words))
     label = list_words(whose)

@@ -16,6 +16,7 @@ from bayes_sensor.diagnosis.verdict import OFTEN, Judgement, judge
 from bayes_sensor.diagnosis.wording import (
     Conclusion,
     family_words,
+    instead_words,
     nearest_finding,
     second_words,
     undecided_words,
@@ -100,6 +101,16 @@ def test_an_effect_of_the_noise_is_there_whatever_explains_the_mean() -> None:
 )
 def test_of_a_family_no_more_is_said_than_is_known(probability, leading, other, said) -> None:
     assert said in family_words(["a", "B"], probability, leading, " in the rise", other)
+
+
+def test_the_likeliest_of_another_family_is_said_where_nothing_unlisted_is_likelier() -> None:
+    rows = {"gain_drift": 0.5, "baseline_drift": 0.2, "baseline_drift+heavy_tails": 0.09}
+    said = instead_words(["gain_drift"], joined(0.0, 0.21, rows), CATALOGUE)
+    assert said == ["If it is not that, baseline_drift (29 %)."]
+    assert instead_words(["gain_drift"], joined(0.0, 0.3, rows), CATALOGUE) == []
+    # what would stand beside the named one is not instead of it
+    beside = {"gain_drift+baseline_drift": 0.6, "gain_drift": 0.35}
+    assert instead_words(["gain_drift"], joined(0.0, 0.05, beside), CATALOGUE) == []
 
 
 def test_what_is_likely_beside_a_name_is_said() -> None:

@@ -151,6 +151,8 @@ class Finding:
 
     def sentence(self, names: Sequence[str], unit: str) -> str:
         """What is said of it; ``names`` of the experiments, ``unit`` of the signal."""
+        if self.log_bayes_factor <= 0.0:
+            return "It is not seen: the samples are no likelier with it."
         return self.signal.sentence(self, names, unit)
 
     def place(self, names: Sequence[str]) -> str:
