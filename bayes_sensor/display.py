@@ -24,8 +24,17 @@ FEW = 8
 """entries of a field that are listed in a card"""
 
 
-SECONDS = 5.0
-"""s, from where the diagnosis gives time constants in s in place of ms"""
+SECONDS_FROM = 1.0
+"""s; a lag is given in seconds from here on, below in ms"""
+
+
+def time_unit(seconds: float) -> tuple[float, str]:
+    """The factor and the unit for a lag of so many seconds.
+
+    >>> time_unit(0.048), time_unit(20.0)
+    ((1000.0, 'ms'), (1.0, 's'))
+    """
+    return (1.0, "s") if seconds >= SECONDS_FROM else (1e3, "ms")
 
 
 def shown(value: object, digits: int = 4) -> str:

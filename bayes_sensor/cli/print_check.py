@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.analysis.read_input import check_methods, read_input
-from bayes_sensor.campaign import CampaignError, counted
+from bayes_sensor.campaign import CampaignError, FloatArray, counted
 from bayes_sensor.cli.terminal import lined_up
 from bayes_sensor.io.disk import write_bytes
 from bayes_sensor.io.untrusted import LARGEST_FILE, read_bytes
@@ -18,6 +18,8 @@ from bayes_sensor.rig.ties import tie_texts
 FIGURE = "check.png"
 WIDEST = 40
 """characters of a cell: a longer name is cut off"""
+MOST_TIMES = 12
+"""of the commands of one experiment"""
 
 
 def _check_free(place: Path) -> None:
@@ -72,6 +74,9 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
     for row in table:
         rows.append([_cell(row[key], pattern) for _, key, pattern in columns])
     print("\n".join(lined_up(rows, left=1)))
+    for e in campaign:
+        if e.commands is not None and not e.commands.recorded:
+            print(f"commands of {e.name} (s): {_listed(e.commands.times)}")
     print(f"rig: {', '.join(campaign.stages)}; which lag is the sensor: {campaign.sensor_is}")
     for name, to in tie_texts(campaign.ties).items():
         print(f"tied: {name} = {to}")
@@ -81,6 +86,15 @@ def print_check(path: Path, quiet: bool, config: Path | None = None, plot: bool 
         print(f"remark: {remark}")
     if plot:
         print(f"drawn: {path.parent / FIGURE}")
+
+
+def _listed(times: FloatArray) -> str:
+    """Times with the digits that tell them apart, the middle ones left out where there are many."""
+    shown = [f"{t:.10g}" for t in times]
+    if len(shown) > MOST_TIMES:
+        half = MOST_TIMES // 2
+        shown = [*shown[:half], f"... {len(shown) - 2 * half} more ...", *shown[-half:]]
+    return ", ".join(shown)
 
 
 def _cell(value: Any, pattern: str) -> str:

@@ -15,7 +15,7 @@ from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.signals.signal import Finding
 from bayes_sensor.diagnosis.unseen_effects import HiddenEffect, HiddenEffects
 from bayes_sensor.diagnosis.verdict import Verdict
-from bayes_sensor.display import SECONDS, card
+from bayes_sensor.display import card, time_unit
 from bayes_sensor.io.json_files import plain
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ class Gap:
         which = (" and " if v.kind == "effect" else " or ").join(v.effects)
         key = "lag_fast" if s.lag_fast else "tau"
         taus = [s.to_json()[f"{key}_{when}_s"] for when in ("before", "after")]
-        unit, per_s = ("s", 1.0) if max(taus) > SECONDS else ("ms", 1e3)
+        per_s, unit = time_unit(max(taus))
         before, after = (per_s * tau for tau in taus)
         return (
             f"Gap({v.kind} {which}".rstrip()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_sensor.display import SECONDS, shown
+from bayes_sensor.display import shown, time_unit
 
 
 def how_far_lines(said: Mapping[str, Any]) -> list[str]:
@@ -45,7 +45,7 @@ def _tau(said: Mapping[str, Any], unlisted: bool) -> str:
     shrink = said["shrink"]
     key = "lag_fast" if "lag_fast_before_s" in shrink else "tau"
     told = [value for k, value in shrink.items() if k.startswith(f"{key}_") and k.endswith("_s")]
-    unit, per_s = ("s", 1.0) if max(v for v in told if v) > SECONDS else ("ms", 1e3)
+    per_s, unit = time_unit(max(v for v in told if v))
     each = []
     for when, words in (("before", "without an effect"), ("after", "with the explanations")):
         middle, low, high = (shrink.get(f"{key}_{when}{end}_s") for end in ("", "_lo", "_hi"))

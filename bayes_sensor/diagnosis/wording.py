@@ -28,7 +28,7 @@ from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.signals import SIGNALS
 from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import NAMED, Judgement, of_one_family
-from bayes_sensor.display import SECONDS, shown
+from bayes_sensor.display import shown, time_unit
 
 if TYPE_CHECKING:
     from bayes_sensor.campaign import Campaign
@@ -262,7 +262,7 @@ def sentence(found: Conclusion) -> str:
 def _nothing(found: Conclusion) -> list[str]:
     """The sentence where nothing exceeds the noise floor."""
     probability = found.judgement.probability
-    unit, per_s = ("s", 1.0) if found.envelope[1] > SECONDS else ("ms", 1e3)
+    per_s, unit = time_unit(found.envelope[1])
     low, high = (shown(per_s * t, 2) for t in found.envelope)
     nothing = f"Nothing is missing that this campaign could show ({percent(probability)})."
     if probability < 0.5:

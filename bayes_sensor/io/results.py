@@ -252,8 +252,8 @@ class Results:
             except OSError as error:
                 raise CampaignError(
                     f"--out {self.folder}: results cannot be written there "
-                    f"({error.strerror or error}); expected a folder that can be written: "
-                    "choose another"
+                    f"({'it is a file' if self.folder.is_file() else error.strerror or error}); "
+                    "expected a folder that can be written: choose another"
                 ) from None
             yield
         finally:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from bayes_sensor.display import time_unit
 from bayes_sensor.figures import effect_words
 from bayes_sensor.report.cause_left_out import left_out
 from bayes_sensor.report.headline import lag_words
@@ -26,8 +27,9 @@ def gap_sentence(gap: Mapping[str, Any], is_limit: bool) -> str:
         words = words.replace(name, effect_words(name))
     low, high = gap["hidden"].get("tau_envelope_s") or (None, None)
     if verdict["kind"] == "none" and low is not None and high is not None:
-        upper = f"{number(1e3 * high, 2)} ms"
-        reach = f"reach {upper}" if is_limit else f"be from {number(1e3 * low, 2)} to {upper}"
+        per_s, unit = time_unit(high)
+        upper = f"{number(per_s * high, 2)} {unit}"
+        reach = f"reach {upper}" if is_limit else f"be from {number(per_s * low, 2)} to {upper}"
         words = re.sub(r"could be anywhere from \S+ to \S+ m?s\b", f"could {reach}", words)
     return sentence(typeset(re.sub(r"(\d)%", r"\1 %", words)))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+from bayes_sensor.display import time_unit
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.method_words import classical_bound, quoted
 from bayes_sensor.report.cause_left_out import Cause, left_out
@@ -14,7 +15,6 @@ from bayes_sensor.report.words import (
     interval,
     list_words,
     number,
-    time_unit,
     with_spread,
 )
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from bayes_sensor.display import time_unit
 from bayes_sensor.figures import Box
 from bayes_sensor.figures.method_words import quoted
 from bayes_sensor.report.headline import LIMIT, count_limits, stated_set
 from bayes_sensor.report.saved import Saved
-from bayes_sensor.report.words import interval, number, time_unit, time_words, with_spread
+from bayes_sensor.report.words import interval, number, time_words, with_spread
 
 SYMBOLS = {"sensor": ("tau_s",), "valve": ("tau_v_s",), "manifold": ("V_mL",)}
 """parameters that are not called after their stage"""

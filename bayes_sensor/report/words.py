@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from math import floor, log10
 
+from bayes_sensor.display import time_unit
 from bayes_sensor.figures.labels import raised
 
 
@@ -62,17 +63,6 @@ def interval(low: float, high: float) -> str:
 
 LAG_WORDS = {"faster": "shorter", "between": "middle", "slower": "longer"}
 """which of the lags the sensor's is, by ``sensor_is``"""
-SECONDS_FROM = 1.0
-"""s; a lag is given in seconds from here on, below in ms"""
-
-
-def time_unit(seconds: float) -> tuple[float, str]:
-    """The factor and the unit for a lag of so many seconds.
-
-    >>> time_unit(0.048), time_unit(20.0)
-    ((1000.0, 'ms'), (1.0, 's'))
-    """
-    return (1.0, "s") if seconds >= SECONDS_FROM else (1e3, "ms")
 
 
 def time_words(seconds: float) -> str:

@@ -59,6 +59,20 @@ def test_a_simulated_rig_is_analysed_and_reported(
     assert "sensor A" in page and "no flow is known" in page
 
 
+def test_check_lists_the_commands_of_a_train(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "campaign.toml"
+    pair = 'commanded_on = "10 s"\ncommanded_off = "40 s"'
+    assert pair in DESIGN
+    steps = [f'{{at = "{10 + 4 * i} s", to = {(i + 1) % 2}}}' for i in range(14)]
+    path.write_text(DESIGN.replace(pair, f"steps = [{', '.join(steps)}]", 1))
+    assert run("check", path) == 0
+    said = capsys.readouterr().out
+    listed = "10, 14, 18, 22, 26, 30, ... 2 more ..., 42, 46, 50, 54, 58, 62"
+    assert f"commands of 1,A (s): {listed}\n" in said
+
+
 def test_a_rig_that_needs_a_flow_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

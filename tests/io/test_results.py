@@ -164,7 +164,9 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with (
-        pytest.raises(CampaignError, match=r"--out .*out: results cannot be written there"),
+        pytest.raises(
+            CampaignError, match=r"--out .*out: .*cannot be written there \(it is a file\)"
+        ),
         Results(tmp_path / "out").locked(),
     ):
         pass

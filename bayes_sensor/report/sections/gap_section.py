@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from bayes_sensor import figures
+from bayes_sensor.display import time_unit
 from bayes_sensor.figures import effect_words
 from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.report.gap_words import gap_sentence
@@ -22,7 +23,7 @@ from bayes_sensor.report.sections.gap_tables import (
     where_table,
     which_table,
 )
-from bayes_sensor.report.words import list_words, ms, number, p_equals, sentence
+from bayes_sensor.report.words import list_words, number, p_equals, sentence
 
 _MEASURED = "Without a frame a shade is no more than noise makes."
 _SHADES = {
@@ -226,9 +227,10 @@ def envelope_sentences(record: Mapping[str, Any], is_limit: bool) -> list[str]:
     said = f"Present at plausible strength, {names} would leave no trace that these data could show"
     low, high = hidden.get(f"{of}_envelope_s") or (None, None)
     if low is not None and high is not None:
+        per_s, unit = time_unit(high)
         said += (
-            f"; over all that may hide, {lag} lies between {number(ms(low), 2)} and "
-            f"{number(ms(high), 2)} ms"
+            f"; over all that may hide, {lag} lies between {number(per_s * low, 2)} and "
+            f"{number(per_s * high, 2)} {unit}"
         )
     said += see("hidden") + "."
     if is_limit:
