@@ -17,13 +17,14 @@ CONSTRAINTS := "constraints-$$($(BIN)/python -c \
   'import sys; print("3.11" if sys.version_info < (3, 12) else "3.12")').txt"
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test record lint format bench study coverage paper docs screenshot data dist \
+.PHONY: help install demo test test-slow record lint format bench study coverage paper docs screenshot data dist \
   check-dist clean clean-venv
 
 help:
 	@echo "make install   $(VENV) with the package and everything the tests need"
 	@echo "make demo      analyse the bundled campaigns, report in build/demo"
 	@echo "make test      the test suite (PYTEST_ARGS=... is handed on)"
+	@echo "make test-slow  the tests that take more than five seconds each; make test leaves them out"
 	@echo "make record    every recorded result once more, each difference by name (CASES=folder: more)"
 	@echo "make lint      formatter and linter in check mode, types"
 	@echo "make format    let the formatter and the linter mend what they can"
@@ -62,9 +63,11 @@ demo: $(STAMP)
 	$(ONE_THREAD) $(BIN)/bayes-sensor gap data/withheld/campaign.toml --out build/demo-withheld
 	@$(BIN)/python data/open_seal.py build/demo-withheld
 
-test: $(STAMP)
+test: CHOSEN := not slow
+test-slow: CHOSEN := slow
+test test-slow: $(STAMP)
 	@if $(BIN)/python -c 'import xdist' 2>/dev/null; then parallel="-n $(JOBS) --dist worksteal"; else parallel=; fi; \
-	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel $(PYTEST_ARGS)
+	set -x; $(ONE_THREAD) $(BIN)/python -m pytest $$parallel -m "$(CHOSEN)" $(PYTEST_ARGS)
 
 record: $(STAMP)
 	PYTHONPATH=. $(ONE_THREAD) $(BIN)/python tests/record/make.py --check $(if $(CASES),--cases '$(CASES)')

@@ -23,7 +23,7 @@ step_study = false
 explain = false
 """
 
-pytestmark = [pytest.mark.prose, pytest.mark.arviz]
+pytestmark = [pytest.mark.prose, pytest.mark.arviz, pytest.mark.slow]
 
 
 def test_the_code_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,6 +65,7 @@ def loaded(result: Analysis, place: Path) -> Analysis:
     return bs.load(place / "call")
 
 
+@pytest.mark.slow
 def test_command_and_call_write_the_same(result: Analysis, place: Path) -> None:
     arguments = ["analyze", str(place / "campaign.toml"), "--out", str(place / "command")]
     arguments += ["--seed", "3", "--quiet", "--config", str(place / "settings.toml")]

@@ -23,6 +23,8 @@ from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
 from bayes_sensor.workers import beside
 
+pytestmark = pytest.mark.slow
+
 QUICK = """
 [fit]
 swarms = 1

@@ -9,6 +9,8 @@ import pytest
 import bayes_sensor as bs
 from tests.support.campaigns import small_problem
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module", params=["two flows", "one flow"])
 def result(request: pytest.FixtureRequest) -> bs.Analysis:

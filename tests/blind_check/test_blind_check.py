@@ -107,6 +107,7 @@ def test_jacobian_of_the_ideal_model(rig: Case) -> None:
         assert np.abs(numeric - jacobian[:, j]).max() < 2e-4 * np.abs(jacobian[:, j]).max()
 
 
+@pytest.mark.slow
 def test_detectability_is_the_noncentrality_of_simulated_data() -> None:
     # with the refit's tangent space projected out, the mean of (whitened data)^2 is d^2 + dof
     rig = draw_case(7, {"wall_pockets": 0.1}, law="white", size="small")
@@ -226,6 +227,7 @@ def test_heavy_tails_are_no_wrong_answer_where_the_noise_has_them() -> None:
         assert null["near"] == (["heavy_tails"] if law in HEAVY_TAILED else [])
 
 
+@pytest.mark.slow
 def test_causes_kept_for_the_last_run_can_be_made_plain_to_see() -> None:
     kept = [name for name, cause in CAUSES.items() if cause.reserve]
     rigs = [draw_case(seed, size="paper") for seed in (31, 32, 33)]  # as most cases are

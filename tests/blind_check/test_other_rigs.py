@@ -177,6 +177,7 @@ def test_a_truth_on_another_rig_is_complete() -> None:
     assert sum(row["share"] for row in found["acts"]) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_files_of_other_rigs_say_the_rig_and_read_back(tmp_path: Path) -> None:
     draw_cases(tmp_path, tmp_path / "parts", 6, 5, size="other")
     stages = set()

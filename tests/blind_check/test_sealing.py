@@ -58,6 +58,7 @@ def command(out: Path, *arguments: str) -> int:
 # --------------------------------------------------------------------------- truths
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_truth_of_ones_own_is_sealed_before_its_verdict(
     own: Path, capsys: pytest.CaptureFixture[str]
@@ -97,6 +98,7 @@ def test_a_truth_that_comes_after_the_verdict_counts_and_is_marked(
     assert read_json(own / "score.json")["sealed_late"] == ["mine"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_truth_dropped_among_drawn_ones_is_sealed_with_them(
     tmp_path: Path, one_campaign: Campaign, capsys: pytest.CaptureFixture[str]
@@ -218,6 +220,7 @@ def test_a_late_truth_is_checked_and_can_be_mended(
 # --------------------------------------------------------------------------- campaigns
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_campaign_changed_after_its_verdict_is_told(
     own: Path, capsys: pytest.CaptureFixture[str]
@@ -280,6 +283,7 @@ def test_the_seconds_of_every_case_are_kept_and_not_hashed(own: Path) -> None:
 # --------------------------------------------------------------------------- drawn cases
 
 
+@pytest.mark.slow
 def test_seals_hold(tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     draw_cases(tmp_path, parts, 3, 5, size="small")
@@ -313,6 +317,7 @@ def test_seals_hold(tmp_path: Path) -> None:
     assert len(open_seals(tmp_path)) == 3
 
 
+@pytest.mark.slow
 def test_a_campaign_from_its_recipe_is_diagnosed_like_the_one_on_disk(tmp_path: Path) -> None:
     def level(campaign: Campaign, seed: int, without: Any, setting: str) -> Any:
         raise CampaignError(f"{np.mean([e.values.mean() for e in campaign]):.9g}")
@@ -344,6 +349,7 @@ def test_what_is_withheld_is_taken_out_of_the_catalogue(tmp_path: Path) -> None:
     assert taken_out == expected and any(expected)
 
 
+@pytest.mark.slow
 def test_numbers_do_not_depend_on_jobs_or_interruptions(tmp_path: Path) -> None:
     told: list[int] = []
 

@@ -186,6 +186,7 @@ def test_a_step_lost_in_the_noise_leaves_every_interval_sound_or_null() -> None:
     assert sum(np.isfinite(b.high[2, 1]) for b in bounds.methods.values()) >= 5
 
 
+@pytest.mark.slow
 def test_lags_that_coincide_at_equal_flows_get_no_narrow_interval() -> None:
     design, theta = small_design()
     flow = design.experiments[0].total_flow

@@ -162,6 +162,7 @@ def test_a_study_resumes_and_depends_on_its_seed_alone(tmp_path: Path) -> None:
         assert (saved["low"][1] != other(1)["low"]).any()
 
 
+@pytest.mark.slow
 def test_every_method_takes_part_and_the_iid_bound_is_narrow_under_correlation() -> None:
     study = BoundsStudy(SETTINGS["ar1_0.9"], n_resamples=40)
     found = study(0)

@@ -304,6 +304,7 @@ def numbers(folder: Path) -> dict[str, Any]:
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.name != "run.json"}
 
 
+@pytest.mark.slow
 def test_fit_is_replaced_as_a_whole_and_repeats_itself(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
@@ -379,6 +380,7 @@ def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
     assert header.startswith("parameter,method,estimate,sd,lo68,hi68")
 
 
+@pytest.mark.slow
 def test_closed_streams_are_no_obstacle(campaign: Path, tmp_path: Path) -> None:
     # as services and the like start a program
     for work, closed in (("fit", "2>&-"), ("posterior", "--sampler independence <&- >&- 2>&-")):
@@ -418,6 +420,7 @@ def _read(descriptor: int) -> bytes:
         return b""
 
 
+@pytest.mark.slow
 def test_delays_take_their_weights_from_the_newest_posterior_only(
     campaign: Path, tmp_path: Path
 ) -> None:
@@ -447,6 +450,7 @@ def test_delays_take_their_weights_from_the_newest_posterior_only(
     assert weights(configs[0]) is None
 
 
+@pytest.mark.slow
 def test_a_posterior_that_does_not_converge_says_so(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -684,6 +688,7 @@ def test_ctrl_c_at_the_very_end_changes_nothing(ending: str) -> None:
     assert len(done.stderr.splitlines()) == (0 if ending == "return 0" else 1), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_an_interruption_is_one_line_and_tells_how_to_go_on(
     campaign: Path, tmp_path: Path, jobs: str

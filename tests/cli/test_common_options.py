@@ -97,6 +97,7 @@ def test_simulate_draws_noise_of_the_law_in_the_settings(tmp_path: Path) -> None
     assert np.corrcoef(usual[plateau][:-1], usual[plateau][1:])[0, 1] > 0.7
 
 
+@pytest.mark.slow
 def test_noise_that_falls_with_gas_is_told_by_a_fit_and_fitted_with_levels(tmp_path: Path) -> None:
     levels = settings(tmp_path, '[noise]\nvariance = "levels"\n')
     made = tmp_path / "falling"
@@ -138,6 +139,7 @@ def test_check_looks_at_the_settings_with_the_campaign(
     assert "unknown parameter 't0[5]'" in said.err and said.out == ""
 
 
+@pytest.mark.slow
 def test_coverage_takes_methods_and_resamples_from_the_settings(tmp_path: Path) -> None:
     text = '[bounds]\nmethods = ["block_bootstrap"]\nresamples = 20\n'
     out = tmp_path / "out"
@@ -152,6 +154,7 @@ def test_coverage_takes_methods_and_resamples_from_the_settings(tmp_path: Path) 
     assert not np.allclose(found["median_width"], usual["median_width"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["fit", "delays", "gap"])
 def test_resume_starts_afresh_where_nothing_is_unfinished(command: str, tmp_path: Path) -> None:
     simulated(tmp_path / "sim")

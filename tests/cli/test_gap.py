@@ -187,6 +187,7 @@ def test_nominal_parameters_stand_in_the_budget(diagnosed: Path) -> None:
     assert budget["nominal_rms_V"] > budget["calibrated_rms_V"] > budget["noise_floor_rms_V"]
 
 
+@pytest.mark.slow
 def test_a_withheld_effect_is_not_in_the_record(campaign: Path, tmp_path: Path) -> None:
     assert run("gap", campaign, "--out", tmp_path, "--bootstrap", 0, "--without",
                "valve_asymmetry", "--without", "flow_settling", "--quiet") == 0  # fmt: skip
@@ -208,6 +209,7 @@ EFFECT = own_effect("sticky_plunger", [Strength("lateness", "1", "normal", 0.0, 
 """
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_named_from_a_file(campaign: Path, tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text(OWN)
@@ -254,6 +256,7 @@ def test_bad_requests_are_one_message(
 # --- posterior --with-effect
 
 
+@pytest.mark.slow
 def test_the_posterior_with_the_effect_recovers_its_strength(
     campaign: Path, tmp_path: Path
 ) -> None:

@@ -89,6 +89,7 @@ def test_a_terminal_is_asked(folder: Path) -> None:
     assert run("check", folder / "campaign.toml", "--quiet") == 0
 
 
+@pytest.mark.slow
 def test_no_colour_is_written_where_there_is_no_terminal(folder: Path) -> None:
     environment = {**os.environ, "FORCE_COLOR": "1", "TERM": "xterm-256color"}
     for arguments in (["init", folder], ["init", folder], ["--help"], ["gap", "--help"]):

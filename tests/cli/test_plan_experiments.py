@@ -34,6 +34,7 @@ LIMITS = ("--flow", "4 L/min", "12 L/min", "--concentration", "10 %", "0.2", "--
           "40 s")  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_proposal_is_written_predicted_and_simulated(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,6 +140,7 @@ def test_mistakes_are_one_message(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_trigger_in_the_check_narrows_the_posterior_as_predicted(folder: Path) -> None:
     campaign = read_campaign(folder / "campaign.toml")
     truth = json.loads((folder / "truth.json").read_text())

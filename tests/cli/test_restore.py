@@ -40,6 +40,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "field.csv"
 
 
+@pytest.mark.slow
 def test_restore_with_a_stated_lag(record: Path, tmp_path: Path, capsys: Any) -> None:
     out = tmp_path / "out"
     arguments = ["restore", record, "--lag", "40 +- 2 min", "--out", out, "--signal", "level"]
@@ -118,6 +119,7 @@ def test_the_report_of_a_restored_record(record: Path, tmp_path: Path, capsys: A
     assert run("report", out) == 2 and "bands" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_record_of_one_of_several_sensors(tmp_path: Path, capsys: Any) -> None:
     data, record = CASES["two sensors"]().simulated(), tmp_path / "record.csv"
     campaign = write_campaign(data, tmp_path / "rig")
@@ -131,6 +133,7 @@ def test_a_record_of_one_of_several_sensors(tmp_path: Path, capsys: Any) -> None
     assert [lag["q50"] for lag in lags] == pytest.approx([0.7, 9.0], rel=0.1)
 
 
+@pytest.mark.slow
 def test_restore_with_a_campaign_and_with_its_results(tmp_path: Path) -> None:
     folder = tmp_path / "rig"
     assert run("simulate", "--out", folder, "--duration", "40 s", "--interval", "20 ms",

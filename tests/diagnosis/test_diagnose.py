@@ -44,6 +44,7 @@ def test_the_catalogue_is_the_contract():
         assert effect.plausible and effect.null and effect.reference and effect.reveal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_nothing_is_named_where_nothing_is_wrong(seed):
     gap = diagnosed("none", seed=seed)
@@ -55,6 +56,7 @@ def test_nothing_is_named_where_nothing_is_wrong(seed):
 
 
 # strengths at which these four short records show the effect well
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "strength"),
     [
@@ -108,6 +110,7 @@ def test_the_mains_amplitude_is_estimated_also_where_they_are_folded():
         assert strength["mains_Hz"] == 50.0
 
 
+@pytest.mark.slow
 def test_an_unlisted_cause_is_not_given_a_name():
     campaign = measured({}, seed=4)
     values = {}
@@ -129,6 +132,7 @@ def beside(extra):
     return campaign.with_data({e.name: e.values + extra(e, own[e.name]) for e in campaign})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "share"), [(3, 0.0025), (6, 0.004)])
 def test_gas_of_the_record_before_is_not_taken_for_the_baseline(seed, share):
     # hardly seen, it looks like a level that is higher before the pulse than after it; that the
@@ -149,6 +153,7 @@ def test_gas_of_the_record_before_is_not_taken_for_the_baseline(seed, share):
     )
 
 
+@pytest.mark.slow
 def test_a_part_that_comes_later_is_described():
     share, lateness = 0.1, 1.1  # s at the median flow: a way of a fixed volume
     plan = design()
@@ -175,6 +180,7 @@ def test_a_part_that_comes_later_is_described():
     assert likely.log_tau == pytest.approx(np.log(0.06), abs=3.0 * likely.sd_log_tau)
 
 
+@pytest.mark.slow
 def test_a_pulse_at_the_commands_is_described():
     def pulse(e, _own):
         on, off = (np.maximum(e.t - t, 0.0) for t in (e.commanded_on, e.commanded_off))
@@ -191,6 +197,7 @@ def test_a_pulse_at_the_commands_is_described():
     assert strength["pulse_time"] == pytest.approx(0.25, rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_withheld_effect_is_never_named_with_confidence():
     campaign = measured({"valve_asymmetry": 1.25}, seed=1)
     gap = diagnose_gap(
@@ -202,6 +209,7 @@ def test_a_withheld_effect_is_never_named_with_confidence():
     )
 
 
+@pytest.mark.slow
 def test_two_effects_of_one_response_are_never_told_apart():
     # with the other taken out of the catalogue, too: it may be the cause all the same
     campaign = measured({"two_rate_valve": 0.08}, seed=3)
@@ -213,6 +221,7 @@ def test_two_effects_of_one_response_are_never_told_apart():
     assert "two_rate_valve, whose response is the same" in gap.verdict.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [4.0, 12.0])
 def test_a_step_of_the_baseline_at_any_common_time_is_named(seconds):
     campaign = measured({}, seed=4)
@@ -227,6 +236,7 @@ def test_a_step_of_the_baseline_at_any_common_time_is_named(seconds):
     assert gap.probabilities.effects["baseline_step"] > 0.7
 
 
+@pytest.mark.slow
 def test_two_effects_of_different_families_are_found():
     campaign = measured({"valve_asymmetry": 1.25, "baseline_drift": 4e-4}, seed=2)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
@@ -239,6 +249,7 @@ def test_two_effects_of_different_families_are_found():
     assert at_once.to_json() | {"rounds": gap.to_json()["rounds"]} == gap.to_json()
 
 
+@pytest.mark.slow
 def test_two_effects_of_one_family_are_not_taken_for_something_else():
     truth = {"flow_settling": 0.7, "optical_nonlinearity": 0.06}
     gap = diagnose_gap(measured(truth, seed=2), bootstrap=0, hidden=False, separate=False)
@@ -262,6 +273,7 @@ def beside_two_effects(size: float) -> Gap:
     return diagnose_gap(more, bootstrap=0, hidden=False, separate=False, follow=False)
 
 
+@pytest.mark.slow
 def test_something_else_beside_two_effects_is_seen():
     gap = beside_two_effects(0.04)
     assert gap.verdict.kind == "unlisted"
@@ -272,6 +284,7 @@ def test_something_else_beside_two_effects_is_seen():
     assert gap.probabilities.looks("unlisted") > NAMED
 
 
+@pytest.mark.slow
 def test_something_small_beside_two_effects_may_be_their_form():
     gap = beside_two_effects(0.03)
     likely = gap.comparison.hypotheses[int(np.argmax(gap.comparison.probabilities))]
@@ -281,6 +294,7 @@ def test_something_small_beside_two_effects_may_be_their_form():
     assert gap.probabilities.looks("form") > 0.95
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_mean_and_one_of_the_noise_stand_together():
     campaign = measured({"valve_asymmetry": 1.3, "mains_pickup": 0.02}, seed=2)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
@@ -333,6 +347,7 @@ def test_effects_of_the_noise_have_no_d():
     assert np.isnan(rows.d["heavy_tails"]) and np.isnan(rows.d["quantisation"])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_record():
     campaign = measured({"dead_volume": 0.2}, seed=6)
     fit = bs.fit_least_squares(campaign, seed=1, euler=False)
@@ -351,6 +366,7 @@ def test_closure_and_held_out_agree_where_the_cause_is_right():
     assert gap.shrink.held_out_fraction_closed == pytest.approx(closed.fraction, abs=0.25)
 
 
+@pytest.mark.slow
 def test_look_alikes_are_listed_with_what_would_separate_them():
     campaign = measured({"slow_sorption": 0.05}, seed=1)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False)
@@ -361,6 +377,7 @@ def test_look_alikes_are_listed_with_what_would_separate_them():
     assert gap.verdict.kind == "family" and len(gap.verdict.effects) <= 5
 
 
+@pytest.mark.slow
 def test_no_measurement_is_advised_that_tells_one_response_from_itself():
     # a volume far from the plausible one: knowing it better says nothing of two lags behind it
     plan = design()
@@ -394,6 +411,7 @@ def test_hidden_effects_shift_tau_without_a_trace():
     assert table.tau_shift_s["valve_second_order"] > 0.01  # inertia looks like a slower sensor
 
 
+@pytest.mark.slow
 def test_the_envelope_holds_tau_where_what_hides_is_stronger_than_plausible():
     # a valve near its critical damping: the fit has no misfit and calls the inertia a slow sensor
     gap = diagnose_gap(measured({"valve_second_order": 0.25}, seed=2), bootstrap=0, separate=False)
@@ -493,6 +511,7 @@ RIPPLE = own_effect(
 )
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_named():
     campaign = measured({}, seed=9)
     values = {}
@@ -558,6 +577,7 @@ def test_plausible_strengths_follow_the_rig():
     assert default_strengths("valve_asymmetry", slow)["closing_ratio"] == 1.1
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_verdict_and_the_explanations():
     gap = diagnosed("carry_over", 0.12)
     text = gap._repr_html_()
@@ -587,6 +607,7 @@ def test_nothing_is_certified_where_the_fit_sees_no_step() -> None:
     assert said.endswith("in any experiment: whether anything is missing cannot be told.")
 
 
+@pytest.mark.slow
 def test_flows_written_to_each_others_records_are_explained_by_their_factors() -> None:
     # the fit bends V away, where no flow makes any difference: the factors need another start
     campaign = measured({}, seed=3, sigma=0.004)
@@ -617,6 +638,7 @@ def test_commands_that_switch_times_lean_on_are_told_before_the_verdict() -> Non
     assert "commands allow" not in diagnosed("none", seed=3).verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_family_that_leaves_what_no_process_knows_is_not_stated() -> None:
     campaign = measured({"slow_sorption": 0.03}, seed=2, sigma=0.02)
     smooth = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
@@ -647,6 +669,7 @@ def test_an_event_beside_an_effect_is_a_note() -> None:
     assert event["place"].startswith("experiment 2, 24") and event["log_bayes_factor"] > 3.0
 
 
+@pytest.mark.slow
 def test_a_wander_that_slow_noise_may_be_is_said_to_look_like_it() -> None:
     # 6 mV with a memory of ten seconds: no stretch of these records is long enough to know it
     campaign = measured({}, seed=40, sigma=0.02)
@@ -665,6 +688,7 @@ def test_a_wander_that_slow_noise_may_be_is_said_to_look_like_it() -> None:
     assert other.verdict.kind == "unlisted" and WANDERS not in other.verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_fit_under_another_noise_law_or_with_effects_serves_as_well_and_a_foreign_one_does_not():
     campaign = measured({"valve_asymmetry": 1.3}, n=3)
     plain = bs.fit_least_squares(campaign, swarms=1)
@@ -689,6 +713,7 @@ def test_a_fit_under_another_noise_law_or_with_effects_serves_as_well_and_a_fore
         diagnose_gap(fewer, plain, **quick)
 
 
+@pytest.mark.slow
 def test_an_instrument_that_warms_up_is_a_drift_of_the_baseline() -> None:
     campaign = measured({}, seed=3)
     warm = {e.name: e.values - 0.15 * (1.0 - np.exp(-e.t / 45.0)) for e in campaign}

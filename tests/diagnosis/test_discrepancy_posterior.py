@@ -25,6 +25,7 @@ def coupled() -> Campaign:
     return campaign.with_data(values)
 
 
+@pytest.mark.slow
 def test_draws_and_evidences_tell_the_same_of_tau(coupled: Campaign) -> None:
     fit = bs.fit_least_squares(coupled, seed=1, euler=False, swarms=1)
     plain = bs.sample_posterior(coupled, fit, seed=1, sampler="independence")
@@ -51,6 +52,7 @@ def test_draws_and_evidences_tell_the_same_of_tau(coupled: Campaign) -> None:
     assert np.array_equal(again.chains, wide.chains)
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_no_line_is_said() -> None:
     gap = diagnose_gap(measured({}, seed=1), bootstrap=0, separate=False, hidden=False)
     assert how_far_lines(gap.to_json()) == []
@@ -58,6 +60,7 @@ def test_where_nothing_is_missing_no_line_is_said() -> None:
     assert said["q2.5"] < 0.06 < said["q97.5"]
 
 
+@pytest.mark.slow
 def test_one_flow_is_refused() -> None:
     campaign = measured({}, seed=1, n=1)
     fit = bs.fit_least_squares(campaign, seed=1, euler=False, swarms=1)

@@ -175,6 +175,7 @@ def breaks_of(prepared, base=None, tail=np.inf):
     return look_for_level_changes(base or fit_base(prepared.binned), tail)
 
 
+@pytest.mark.slow
 def test_a_block_lost_in_one_step_is_a_patch():
     campaign = measured({}, seed=8)
     kept = patches_of(prepared_of(campaign))
@@ -190,6 +191,7 @@ def test_a_block_lost_in_one_step_is_a_patch():
     assert gap.verdict.kind == "unlisted" and "experiment 1" in gap.verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_reading_that_stands_for_less_than_a_bin_is_a_patch():
     # while the relays of a meter settle its last reading stands, in every rise at a time of its own
     campaign = measured({}, seed=8, sigma=0.008, interval=0.001)
@@ -277,6 +279,7 @@ def test_means_have_long_tails_where_levels_last_very_differently():
     assert plateaus[0] == np.inf and plateaus[1] < 6.0  # something is wrong with the gas
 
 
+@pytest.mark.slow
 def test_levels_that_last_are_no_breaks_no_patches_and_not_unsteady():
     # a laser of many modes: white noise, of which a tenth keeps its level for power-law times
     hopping = Component(0.144, 0.1653, shape="settling", depth=0.75)
@@ -343,6 +346,7 @@ def test_what_strikes_again_alike_counts_together(look):
     assert alike > apart + 2.0 and alike > 4.0, (alike, apart)
 
 
+@pytest.mark.slow
 def test_scores_of_changes_have_unit_variance_where_nothing_changes():
     # the refit's own freedom is left out: over noises the squares average to one
     from bayes_sensor.diagnosis.signals.level_changes import level_changes
@@ -382,6 +386,7 @@ def test_a_line_on_the_plateaus_alone_is_found():
             assert line.strength["line_Hz"] == pytest.approx(1.7, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_mains_are_a_line_where_they_have_no_name():
     campaign = measured({"mains_pickup": 0.004}, seed=10, interval=0.004)
     named = diagnose_gap(campaign, bootstrap=0, separate=False, hidden=False)
@@ -402,6 +407,7 @@ def humming(effects: dict[str, float | None], hertz: float, volts: float) -> Cam
     return replace(campaign, experiments=experiments)
 
 
+@pytest.mark.slow
 def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
     alone = diagnose_gap(humming({}, 17.3, 0.004), bootstrap=0, separate=False, hidden=False)
     assert alone.verdict.kind == "unlisted" and "line of unlisted origin" in alone.verdict.sentence
@@ -445,6 +451,7 @@ def bumped(effects: dict[str, float | None], volts: float = 0.06) -> Campaign:
     return replace(campaign, experiments=tuple(experiments))
 
 
+@pytest.mark.slow
 def test_an_event_stands_beside_an_effect_that_shows_elsewhere_and_is_unlisted_by_itself():
     # a clear one; a smaller one is a note
     alone = diagnose_gap(bumped({}, 0.12), bootstrap=0, separate=False, hidden=False)
@@ -522,6 +529,7 @@ def test_rounding_biases_bins_as_the_covariance_says():
     assert rounding_bias(fine, b, edges, flat, mean) is None
 
 
+@pytest.mark.slow
 def test_on_a_lattice_that_the_noise_hardly_crosses_only_the_steps_are_judged():
     campaign = measured({}, seed=11)
     coarse = replace(

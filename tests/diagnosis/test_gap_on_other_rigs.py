@@ -134,6 +134,7 @@ def test_a_second_pulse_is_answered_as_the_first(settings: dict[str, float]) -> 
     assert np.abs(found - usual).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", CASES)
 def test_nothing_is_named_where_nothing_is_wrong(rig: str) -> None:
     gap = diagnosed(rig)
@@ -149,6 +150,7 @@ def test_nothing_is_named_where_nothing_is_wrong(rig: str) -> None:
 
 
 # strengths at which these campaigns show the effect at some thirty standard deviations
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "effect", "strength"),
     [
@@ -206,6 +208,7 @@ def test_what_happens_at_one_step_of_a_staircase_lies_there() -> None:
     assert cells.iloc[-1]["t_start_s"] < 52.0 and cells.iloc[-1]["t_end_s"] > 60.0
 
 
+@pytest.mark.slow
 def test_two_minutes_at_one_hertz_are_diagnosed() -> None:
     t = np.arange(0.0, 120.0, 1.0)
     pair = tuple(

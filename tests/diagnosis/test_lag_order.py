@@ -64,6 +64,7 @@ def sorted_theta(campaign: Campaign) -> FloatArray:
 # --------------------------------------------------------------------------- the longer lag
 
 
+@pytest.mark.slow
 def test_release_of_a_slow_sensor_is_the_sensors_and_tau_its_own() -> None:
     gap = diagnosed("slower")
     assert gap.verdict.effects[0] == "sorption_asymmetry" and gap.verdict.kind == "effect"
@@ -170,6 +171,7 @@ def test_derivatives_move_the_lag_that_they_say() -> None:
 # --------------------------------------------------------------------------- nobody knows
 
 
+@pytest.mark.slow
 def test_where_nobody_knows_both_readings_are_said() -> None:
     gap = diagnosed("unknown")
     v = gap.verdict

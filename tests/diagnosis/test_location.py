@@ -79,6 +79,7 @@ def misplaced(shares: np.ndarray, truth: np.ndarray) -> float:
 
 
 # of the other two a weak one is taken for a rival, which adds elsewhere
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect", [name for name in WEAK if name not in ("flow_switching", "baseline_step")]
 )
@@ -230,6 +231,7 @@ def test_a_record_without_a_fall_has_no_part_in_predicting_falls() -> None:
 # --------------------------------------------------------------------------- courses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", WEAK)
 def test_a_weak_misfit_is_seen_along_courses_and_not_by_its_size(effect: str) -> None:
     budget = weak(effect).budget

@@ -159,6 +159,7 @@ def test_noise_counts_less_where_it_is_louder_for_a_while(interval, phi):
     assert alarms <= 1
 
 
+@pytest.mark.slow
 def test_a_drill_next_door_breaks_nothing_and_is_told(monkeypatch):
     drilled = Component(1.0, 6e-4, shape="drilled", rate=0.24, depth=0.82)
     law = NoiseLaw("drilling", 0.0916, 0.0717, (drilled,))

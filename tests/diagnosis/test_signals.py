@@ -124,6 +124,7 @@ def test_every_signal_has_a_planted_one() -> None:
     assert {s.name for s in SIGNALS} == set(PLANTED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal", SIGNALS, ids=lambda s: s.name)
 def test_in_noise_it_is_found_no_more_often_than_its_prior_says(signal: Signal) -> None:
     found = [in_noise(seed).get(signal.name) for seed in range(1, NULLS + 1)]

@@ -243,6 +243,7 @@ def test_noise_at_half_the_rate_is_not_the_mains():
     assert max(factors) < 3.0 and np.mean(np.exp(factors)) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phi", [0.0, 0.95, -0.95])
 def test_noise_alone_is_no_line_at_half_the_rate(phi):
     rng = np.random.default_rng(9)
@@ -287,6 +288,7 @@ def test_too_little_of_the_mains_has_no_closed_fraction():
     assert closed.withheld and out is None
 
 
+@pytest.mark.slow
 def test_a_diagnosis_that_names_the_mains_says_how_far_they_are_closed():
     campaign = measured({"mains_pickup": 0.006}, seed=10, interval=0.004)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)
@@ -299,6 +301,7 @@ def test_a_diagnosis_that_names_the_mains_says_how_far_they_are_closed():
     assert "closes" in gap.verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_diagnosis_names_the_mains_where_they_fold_onto_half_the_rate():
     campaign = measured({"mains_pickup": 0.006}, seed=10, interval=0.01)
     gap = diagnose_gap(campaign, bootstrap=0, hidden=False, separate=False)

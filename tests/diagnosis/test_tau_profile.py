@@ -42,6 +42,7 @@ def test_it_takes_the_best_of_several_optima(optima):
     assert np.ptp(means) < 0.2 * found[0].sd_log_tau
 
 
+@pytest.mark.slow
 def test_tau_has_the_mean_and_spread_of_a_posterior_sampled(optima):
     best = min(optima, key=lambda r: r.objective)
     coords, profile = best.coords, profile_tau(best)

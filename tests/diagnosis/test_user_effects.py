@@ -42,6 +42,7 @@ def test_a_strength_that_begins_at_nothing_begins_to_either_side_of_it() -> None
     assert own_effect("no", [PLACE, WIDTH], bump, plausible={}).forms[0].starts == ({},)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_place_and_width_of_a_bump_are_found_without_starts(sign: float) -> None:
     campaign = measured({}, seed=9)

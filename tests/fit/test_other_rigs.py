@@ -60,6 +60,7 @@ def test_one_lag_agrees_with_a_fit_by_hand(fitted: dict[str, Any]) -> None:
     assert fit.cost == pytest.approx(2.0 * by_hand.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_posterior_and_bounds_hold_the_truth(name: str, fitted: dict[str, Any]) -> None:
     case, data, fit = fitted[name]
@@ -97,6 +98,7 @@ def test_an_undecided_order_is_both() -> None:
     assert Problem(data).naming().order == "undecided"
 
 
+@pytest.mark.slow
 def test_samples_that_nearly_coincide_have_a_noise_law_and_bounded_chains() -> None:
     rng = np.random.default_rng(3)
     t = np.r_[0.0, np.sort(rng.uniform(0.0, 1200.0, 149))]

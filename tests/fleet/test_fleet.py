@@ -246,6 +246,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return lab
 
 
+@pytest.mark.slow
 def test_a_bad_campaign_is_a_row_and_the_rest_goes_on(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,6 +59,7 @@ def open_folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("piece", range(PIECES))
 def test_one_of_every_kind(piece: int, open_folder: Path) -> None:
     n = len(recipes())

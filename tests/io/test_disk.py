@@ -243,6 +243,7 @@ WRITERS: dict[str, Callable[[Path], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_no_writer_writes_through_a_link(tmp_path: Path, outside: Path, name: str) -> None:
     path = tmp_path / "out" / name

@@ -995,6 +995,7 @@ def test_quantities(text: str, kind: object, value: float) -> None:
     assert read_quantity(text, kind, "key") == value
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 @settings(max_examples=150)
 def test_any_text_is_a_quantity_or_a_message(text: str) -> None:
@@ -1094,6 +1095,7 @@ def test_any_bytes_as_a_table(tmp_path: Path, data: bytes) -> None:
     survives(tmp_path, data, "a.csv")
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.tuples(st.integers(0, len(rows()) - 1), st.binary(max_size=3)), min_size=1, max_size=4

@@ -294,6 +294,7 @@ THETA = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_likelihood_of_irregular_times_is_that_of_a_dense_gaussian() -> None:
     campaign = simulate(irregular(), THETA, seed=2)
     problem = as_problem(campaign)

@@ -378,6 +378,7 @@ def test_a_simulation_needs_every_number(name: str) -> None:
 PINNING = [Noise(autocorrelation="white"), Noise("constant"), Noise("constant", "white", True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", PINNING, ids=str)
 def test_what_the_noise_law_pins_is_pinned_whatever_theta_says(noise: Noise) -> None:
     design = small_design(n=2, interval=0.02)

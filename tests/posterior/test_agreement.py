@@ -42,6 +42,7 @@ def steps(posterior: Posterior) -> tuple[int, int]:
     return int(words[0]), int(words[2].strip("("))
 
 
+@pytest.mark.slow
 def test_emcee_from_the_fast_draws_agrees_and_drops_none() -> None:
     problem, theta, fast = drawn()
     slow = sample_posterior(problem, theta, seed=5, settings=SETTINGS, begin=fast)
@@ -64,6 +65,7 @@ def test_emcee_from_the_fast_draws_agrees_and_drops_none() -> None:
     assert any("began from draws of independence and agrees" in text for text in slow.reasons)
 
 
+@pytest.mark.slow
 def test_a_wrong_start_is_found_out_and_left_behind() -> None:
     problem, theta, fast = drawn()
     chains = fast.chains.copy()
@@ -95,6 +97,7 @@ def test_r_hat_of_two_sets_is_one_for_equal_laws_and_grows_with_their_distance()
     assert fast.chains.ndim == 3
 
 
+@pytest.mark.slow
 def test_draws_that_have_not_converged_are_no_start() -> None:
     problem, theta, fast = drawn()
     loose = replace(fast, r_hat=np.full_like(fast.r_hat, 1.5))
@@ -105,6 +108,7 @@ def test_draws_that_have_not_converged_are_no_start() -> None:
     np.testing.assert_array_equal(begun.chains, plain.chains)
 
 
+@pytest.mark.slow
 def test_a_run_is_repeated_only_where_a_finer_mesh_helps(monkeypatch: pytest.MonkeyPatch) -> None:
     # one record at one flow: data that hold little; its walkers leave the mesh
     problem, theta = small_problem(sigma=0.05, n=1, interval=0.2, fall=False)

@@ -54,6 +54,7 @@ def test_a_valve_that_is_the_faster_lag_may_be_held() -> None:
     assert np.ptp(posterior.of("tau_v_s")) == 0.0 and posterior.sd("tau_s") > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["independence", "hmc", "emcee"])
 def test_the_posterior_is_that_of_a_narrow_prior(sampler: str) -> None:
     problem = held_problem({"tau_v": "0.3 s"}, n=3)

@@ -46,6 +46,7 @@ def drawn(sampler: str, phi: float) -> Posterior:
     return sample_posterior(problem, theta, seed=3, sampler=sampler, settings=QUICK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_every_sampler_converges_and_says_how(sampler: str, phi: float) -> None:
@@ -118,6 +119,7 @@ def two_parameters() -> tuple[Problem, np.ndarray, np.ndarray, np.ndarray, np.nd
     return problem, theta, tau, t0, p
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_two_parameters_against_quadrature(sampler: str) -> None:
     problem, theta, tau, t0, p = two_parameters()
@@ -213,6 +215,7 @@ def test_what_belongs_to_another_run_is_not_continued(tmp_path) -> None:
     np.testing.assert_array_equal(other.chains, alone.chains)
 
 
+@pytest.mark.slow
 def test_the_numbers_do_not_depend_on_jobs() -> None:
     problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
     short = replace(SHORT, max_steps=60)
@@ -222,6 +225,7 @@ def test_the_numbers_do_not_depend_on_jobs() -> None:
     np.testing.assert_array_equal(one.chains, two.chains)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["independence", "hmc"])
 def test_seeds_decide(sampler: str) -> None:
     problem, theta = small_problem(sigma=0.01, n=2, interval=0.02)
@@ -341,6 +345,7 @@ def one_flow(side: dict[str, SideInformation]) -> tuple[Problem, np.ndarray, flo
     return Problem(simulate(design, theta, seed=4)), theta, 70.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["emcee", "independence"])
 def test_at_one_flow_the_priors_choose_the_order_of_valve_and_manifold(sampler: str) -> None:
     problem, _, flow = one_flow({"V_mL": SideInformation(58.0, 2.0)})
@@ -357,6 +362,7 @@ def test_at_one_flow_the_priors_choose_the_order_of_valve_and_manifold(sampler: 
     assert 0.45 < low < 0.5 < high < 0.55
 
 
+@pytest.mark.slow
 def test_at_one_flow_both_orders_have_their_share_without_other_knowledge() -> None:
     problem, _, flow = one_flow({})
     fit = fit_least_squares(problem, seed=1, swarms=1, euler=False)
@@ -597,6 +603,7 @@ def test_a_models_own_parameters_are_sampled(name: str) -> None:
     assert record["priors"].keys() > EFFECTS[name][2].keys()
 
 
+@pytest.mark.slow
 def test_emcee_integrates_y0_and_beta_out_of_an_affine_mean_too() -> None:
     a, _ = with_effect("drifting", "independence")
     few = Settings(n_chains=2, n_walkers=26, chunk=40, burn_in=40, max_steps=160, thin=2)
@@ -635,6 +642,7 @@ def closing(ratio: float, prior: Prior) -> Posterior:
     return posterior
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "prior"),
     [
@@ -675,6 +683,7 @@ def test_a_parameter_without_a_prior_is_named() -> None:
         sample_posterior(problem, np.append(theta, 0.1), sampler="independence")
 
 
+@pytest.mark.slow
 def test_no_reweighting_beyond_the_support_of_what_was_sampled() -> None:
     problem, theta = small_problem(n=2, interval=0.02, tau=0.1)
     numbers = ["lo95_s", "hi95_s", "hdi_lo95_s", "hdi_hi95_s", "upper95_s", "upper99_s"]

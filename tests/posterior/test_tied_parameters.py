@@ -45,6 +45,7 @@ def test_the_fit_of_sensors_of_one_lag_is_that_of_one_sensor(
     assert tied.parameters["tau_s"] > tied.parameters["tau_v_s"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["independence", "hmc", "emcee"])
 def test_the_posterior_of_sensors_of_one_lag_is_that_of_one_sensor(
     pair: list[tuple[Problem, bs.Fit]], sampler: str
@@ -128,6 +129,7 @@ def test_another_minimum_of_a_tie_is_tried() -> None:
     assert few.cost == pytest.approx(many.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_draws_of_what_is_tied_are_saved_with_the_others(tmp_path: Path) -> None:
     problem = Problem(CASES["sensors of lags in proportion"]().simulated())
     fit = bs.fit_least_squares(problem, seed=1, swarms=1)

@@ -124,6 +124,7 @@ def test_prior_draws_follow_the_priors(posterior: bs.Posterior, data: Any) -> No
     assert stats.ks_2samp(tau_v.ravel(), pair[1][kept]).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_functions_of_arviz(data: Any) -> None:
     az = idata.import_quietly("arviz")
     with warnings.catch_warnings():

@@ -247,6 +247,7 @@ def drawn(study: ModuleType, i: int, known: str) -> object:
     return study.draw(np.random.default_rng([20, i]), known, most_samples=800)
 
 
+@pytest.mark.slow
 def test_what_is_stated_of_lags_of_either_order_is_true(
     study: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -269,6 +270,7 @@ def test_what_is_stated_of_lags_of_either_order_is_true(
     assert {row["tau_s"] > row["tau_v_s"] for row in rows} == {True, False}
 
 
+@pytest.mark.slow
 def test_one_flow_and_wrong_side_information(
     study: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -285,6 +287,7 @@ def test_one_flow_and_wrong_side_information(
     assert row["order"] == "undecided" and row["p_true"] == pytest.approx(1 / 3, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_wrong_word_would_be_noticed(study: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study, "ONE_FLOW", 0.0)
     case = next(

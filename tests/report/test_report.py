@@ -554,6 +554,7 @@ ODD = (
 """names that some language takes for its own"""
 
 
+@pytest.mark.slow
 def test_names_that_mean_something_elsewhere_are_only_names_here(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -770,6 +771,7 @@ def test_hostile_names_stay_text(analysed: Path) -> None:
     assert not any("script" in p.name for p in (analysed / "figures").iterdir())
 
 
+@pytest.mark.slow
 def test_figures_are_saved_once_as_vectors_and_on_demand_as_pixels(
     analysed: Path, tmp_path: Path
 ) -> None:
@@ -818,6 +820,7 @@ def test_report_is_rebuilt_from_saved_results_alone(analysed: Path, tmp_path: Pa
     assert names == {p.name for p in (analysed / "figures").iterdir()}
 
 
+@pytest.mark.slow
 def test_a_report_loads_nothing_that_computes(analysed: Path, tmp_path: Path) -> None:
     slow = ("numba", "scipy", "pandas", "arviz", "statsmodels", "corner")
     code = (
@@ -886,6 +889,7 @@ def test_a_folder_without_results_is_refused(analysed: Path, tmp_path: Path, mis
         read_results(tmp_path)
 
 
+@pytest.mark.slow
 def test_overlays_are_left_out_before_the_page_grows_too_large(
     analysed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1052,6 +1056,7 @@ def test_what_points_nowhere_is_left_out() -> None:
         numbering([Table("k", "c", [], [])] * 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pages", PAGES)
 def test_the_report_as_markdown(analysed: Path, tmp_path: Path, pages: str) -> None:
     out = shutil.copytree(analysed, tmp_path / "out")
@@ -1289,6 +1294,7 @@ def test_page_lives_in_a_browser(analysed: Path, tmp_path: Path, width: int) -> 
     assert probe["home"] == pytest.approx(probe["whole"]) and probe["closed"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed: the page is not opened")
 def test_page_is_seen_and_printed(analysed: Path, tmp_path: Path, whole: Report) -> None:
     page = analysed / "report.html"

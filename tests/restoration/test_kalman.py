@@ -52,6 +52,7 @@ def dense(model: Model, t: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, .
     return yy, uy, uu
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "lags"), CHAINS)
 @pytest.mark.parametrize(("phi", "growth"), [(0.0, 0.0), (0.7, 2.0)])
 def test_filter_and_smoother_are_those_of_a_dense_gaussian(

@@ -30,6 +30,7 @@ def inside(found: bs.Restored, u: np.ndarray) -> float:
     return float(np.mean((found.quantile(0.025) < u) & (u < found.quantile(0.975))))
 
 
+@pytest.mark.slow
 def test_bands_hold_the_input_as_often_as_they_say_where_the_lag_is_uncertain() -> None:
     rng = np.random.default_rng(10)
     shares, blind = [], []

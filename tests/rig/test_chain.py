@@ -90,6 +90,7 @@ def times_for(taus: np.ndarray) -> np.ndarray:
 # --- one step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6])
 def test_step_and_impulse_responses_are_exact(n: int) -> None:
     for name, taus in chains(n):

@@ -44,6 +44,7 @@ def test_first_runs_which_compile_give_the_numbers_of_every_later_one(tmp_path: 
     assert said[0].count("\n") == 40 and set(said) == {said[0]}
 
 
+@pytest.mark.slow
 def test_the_diagnosis_of_the_gap_does_not_depend_on_jobs(tmp_path: Path) -> None:
     small = ["--experiments", "1,6", "--duration", "12 s", "--interval", "20 ms", "--quiet"]
     noise = ["--sigma0", "5 mV", "--sigma1", "3 mV", "--effect", "valve_asymmetry=0.3"]

@@ -84,6 +84,7 @@ def test_plain_intervals_hold_the_truth(case: str) -> None:
         assert stated >= 3 * len(METHODS) - 6
 
 
+@pytest.mark.slow
 def test_coverage_of_ordinary_and_negative_phi_in_a_few_draws() -> None:
     # 12 draws x 3 parameters: 95 % intervals miss more than six of 36 with probability 0.002
     missed = 0

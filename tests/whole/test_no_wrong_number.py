@@ -80,6 +80,7 @@ def test_the_valve_measured_beside_it_decides_and_sensor_is_says_it() -> None:
         assert fit.parameters["tau_v_s"] == pytest.approx(0.3, abs=0.05)
 
 
+@pytest.mark.slow
 def test_one_lag_and_nothing_else_is_one_lag() -> None:
     data = campaign(20.0, 1e-3, 1e-2, flows=(25.0,), interval=1.0, duration=500.0, seed=2)
     fit, _, record = answered(data, "emcee")

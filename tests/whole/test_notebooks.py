@@ -14,7 +14,10 @@ ROOT = Path(__file__).resolve().parents[2]
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # the Jupyter client's own warnings, not ours
+pytestmark = [
+    pytest.mark.filterwarnings("ignore"),  # the Jupyter client's own warnings, not ours
+    pytest.mark.slow,
+]
 
 
 def run(name: str, expressions: dict[str, str]) -> dict[str, float]:

@@ -83,6 +83,7 @@ def test_every_extra_is_known_here_and_to_the_study() -> None:
     ).EXTRAS
 
 
+@pytest.mark.slow
 def test_every_module_can_be_imported_without_any_extra() -> None:
     printed = python(
         BLOCKED + "import importlib, pkgutil, warnings; warnings.simplefilter('ignore')\n"

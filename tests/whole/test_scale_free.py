@@ -305,16 +305,19 @@ def diagnosed(change: str = "", fault: str = "kink", without: tuple[str, ...] = 
     return gap.to_json() | {"seen": seen}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["times 1e-15", "times 1e+12", "times -1e-12", *CLOCKS])
 def test_diagnosis_is_the_same(change: str) -> None:
     assert_same_diagnosis(diagnosed(change), diagnosed(), change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["times 1e-12", "upside down"])
 def test_diagnosis_of_nothing_is_the_same(change: str) -> None:
     assert_same_diagnosis(diagnosed(change, ""), diagnosed("", ""), change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", OFFSETS)
 def test_diagnosis_far_from_zero_is_the_same(change: str) -> None:
     # a lamp that fades takes the whole voltage with it: that effect alone knows where zero is

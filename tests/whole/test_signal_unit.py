@@ -36,6 +36,7 @@ def volts_and_ppm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]
     return volts / "campaign.toml", ppm / "campaign.toml"
 
 
+@pytest.mark.slow
 def test_every_json_file_names_the_unit(volts_and_ppm: tuple[Path, Path], tmp_path: Path) -> None:
     found = {}
     for unit, campaign in zip(("V", "ppm"), volts_and_ppm, strict=True):

@@ -14,6 +14,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 SMALL = """
 import numpy as np
@@ -220,6 +221,7 @@ def differ(part: str, said: str, by_python: str) -> str:
 
 
 # One test for all parts: the process without compilation is then started once, by one worker.
+@pytest.mark.slow
 def test_compiled_code_gives_the_numbers_of_the_same_code_in_python() -> None:
     by_python = in_python()
     found = {part: differ(part, compiled(part), by_python[part]) for part in PARTS}
