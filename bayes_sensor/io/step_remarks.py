@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_sensor.campaign import Experiment
-from bayes_sensor.io.steps import Step, find_steps
+from bayes_sensor.io.steps import Step, find_steps, large_ones
 
-AS_LARGE = 0.4
-"""of the largest step: a smaller one is not counted, as it may be a disturbance"""
 RETURN = 0.8
 """of a step: where less comes back at once, the step overshot, which is no second step"""
 
@@ -25,11 +23,11 @@ def step_remarks(e: Experiment, where: str, *, falls_back: bool = False) -> list
     steps = find_steps(e.t[e.used], e.y[e.used])
     if not steps:
         return []
-    largest = max(abs(step.height) for step in steps)
+    large = large_ones(steps)
     steps = tuple(
         step
         for before, step in zip((None, *steps), steps)
-        if abs(step.height) >= AS_LARGE * largest and not _settles(before, step)
+        if step in large and not _settles(before, step)
     )
     late = _late(e, steps, where)
     return late or ([] if falls_back else _uncommanded(e, steps, where))

@@ -8,6 +8,7 @@ and then is fast again, another step began.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import NormalDist
@@ -41,6 +42,8 @@ FASTER = 4.0
 """times as fast as before, where another step began"""
 HOLD = 0.5
 """of the time that a step took: a level within a rise that is held for less is noise"""
+AS_LARGE = 0.4
+"""of the largest step: a smaller one is not counted, as it may be a disturbance"""
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,12 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
             if found is not None:
                 steps.append(found)
     return _held(t, y, steps, least)
+
+
+def large_ones(steps: Sequence[Step]) -> list[Step]:
+    """Those that are as large as :data:`AS_LARGE` says."""
+    largest = max((abs(step.height) for step in steps), default=0.0)
+    return [step for step in steps if abs(step.height) >= AS_LARGE * largest]
 
 
 def _wander(y: FloatArray) -> float:

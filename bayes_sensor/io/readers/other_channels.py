@@ -10,7 +10,7 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.recording import Recording, Selection, list_names
 from bayes_sensor.io.readers.roles import is_set_point
-from bayes_sensor.io.steps import Step, find_steps
+from bayes_sensor.io.steps import Step, find_steps, large_ones
 
 MOST = 6
 """other channels that are looked at"""
@@ -47,7 +47,7 @@ def signal_remarks(
     constant = bool(y.min() == y.max())
     if entry.signal is not None and not constant:
         return []
-    mine = [] if constant else _main(find_steps(*_finite(recording)))
+    mine = [] if constant else large_ones(find_steps(*_finite(recording)))
     if not (constant or mine):
         return []
     moving = [name for name in others[:MOST] if _moves_with(mine, recording, name, entry, read)]
@@ -78,7 +78,7 @@ def _moves_with(
         return False
     if len(np.unique(y)) < FEWEST_VALUES or _is_copy(y, _finite(signal)[1]):
         return False
-    theirs = _main(find_steps(t, y))
+    theirs = large_ones(find_steps(t, y))
     if not mine:
         return bool(theirs)
     return len(theirs) == len(mine) and all(map(_begin_together, mine, theirs))
@@ -90,12 +90,6 @@ def _is_copy(y: FloatArray, signal: FloatArray) -> bool:
         return False
     a, b = np.diff(y), np.diff(signal)
     return bool(a.std() > 0 and b.std() > 0 and abs(np.corrcoef(a, b)[0, 1]) > COPY)
-
-
-def _main(steps: Sequence[Step]) -> list[Step]:
-    """Those of at least 0.4 of the largest step."""
-    largest = max((abs(step.height) for step in steps), default=0.0)
-    return [step for step in steps if abs(step.height) >= 0.4 * largest]
 
 
 def _begin_together(a: Step, b: Step) -> bool:
