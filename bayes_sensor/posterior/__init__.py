@@ -3,8 +3,9 @@
 * ``emcee``: affine-invariant ensembles (Goodman and Weare 2010; differential evolution moves,
   ter Braak 2006) in the coordinates of :mod:`bayes_sensor.posterior.laplace`, with every y0 and
   beta integrated out analytically and redrawn afterwards.
-* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation; accepted only
-  if the Pareto k-hat of its weights is small, otherwise replaced by ``hmc`` and then ``emcee``.
+* ``independence``: Metropolis-Hastings whose proposal is the Laplace approximation, refitted to its
+  draws where the Pareto k-hat of its weights is large; where that does not help, replaced by
+  ``hmc``, if the gradient is compiled, and then ``emcee``.
 * ``hmc``: Hamiltonian Monte Carlo (Neal 2011) in whitened coordinates from the analytic gradient.
 
 Convergence is judged between independent runs (for emcee: independent ensembles, since walkers of
