@@ -275,6 +275,7 @@ def _said(posterior: Posterior) -> dict[str, float]:
     return {
         "sampler": float(list(SAMPLERS).index(posterior.sampler)),
         "k_hat": np.nan if posterior.k_hat is None else float(posterior.k_hat),
+        "refitted": float(posterior.sampler == FASTEST and "refitted" in posterior.reasons[0]),
         "mesh_error": posterior.mesh_error,
         "converged": float(posterior.converged),
         "r_hat": float(np.nanmax(posterior.r_hat)),
@@ -283,8 +284,8 @@ def _said(posterior: Posterior) -> dict[str, float]:
 
 
 _SILENT = {
-    "sampler": -1.0, "k_hat": np.nan, "mesh_error": np.nan, "converged": 0.0, "r_hat": np.nan,
-    "ess": np.nan,
+    "sampler": -1.0, "k_hat": np.nan, "refitted": 0.0, "mesh_error": np.nan, "converged": 0.0,
+    "r_hat": np.nan, "ess": np.nan,
 }  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 Smaller campaigns than the paper's (three experiments of 40 s at 5 ms), because every one is drawn
 anew; the priors are explicit and proper for every parameter, and the noise may be anything from
-nearly absent to hundreds of millivolts correlated over twenty samples.
+nearly absent to hundreds of millivolts correlated over twenty samples.  Once more for short records
+of a slow logger, where the posterior has longer tails than a Gaussian, so that the independence
+sampler refits its proposal or hands over.
 """
 
 from __future__ import annotations
@@ -51,35 +53,70 @@ def problem() -> Problem:
     )
 
 
-def study() -> RankStudy:
+def short_problem() -> Problem:
+    """Two records of two minutes at 1 Hz of a sensor alone, and their priors."""
+    t = np.arange(120.0)
+    experiments = tuple(
+        Experiment(name, t, None, None, None, 1.0, 20.0, 70.0 if name == "1" else None)
+        for name in "12"
+    )
+    priors = {
+        "tau_s": Prior("half_normal", 12.0),
+        "phi": Prior("uniform", -0.5, 0.9),
+        "sigma0_V": Prior("half_normal", 0.2),
+        "sigma1_V": Prior("half_normal", 0.2),
+    }
+    for e in experiments:
+        priors[f"y0_V[{e.name}]"] = Prior("normal", 0.25, 0.05)
+        priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.3)
+        priors[f"t0_s[{e.name}]"] = Prior("uniform", 20.0, 26.0)
+    priors["tf_s[1]"] = Prior("uniform", 70.0, 76.0)
+    campaign = Campaign("short records", experiments, stages=("sensor",), sensor_is="faster")
+    return Problem(campaign, given_priors=priors)
+
+
+def study(design: Problem | None = None) -> RankStudy:
     """The task, one call a campaign."""
     settings = Settings(n_chains=2, n_draws=1000, target_ess=300, max_draws=3000, max_steps=600)
-    return RankStudy(problem(), settings=settings, n_ranks=N_RANKS, seed=SEED)
+    return RankStudy(design or problem(), settings=settings, n_ranks=N_RANKS, seed=SEED)
 
 
 def run(
     folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
 ) -> None:
     """Compute, then write sbc.csv, sbc_ranks.csv, sbc_samplers.csv and the figure."""
-    task = study()
+    draw(_ranked("sbc", study(), folder, jobs, scheduler, progress))
+
+
+def run_short(
+    folder: Path, jobs: int, scheduler: str | None, progress: Callable[[int, int], None]
+) -> None:
+    """The same for short records: sbc_short.csv, sbc_short_ranks.csv, sbc_short_samplers.csv."""
+    _ranked("sbc_short", study(short_problem()), folder, jobs, scheduler, progress)
+
+
+def _ranked(
+    name: str,
+    task: RankStudy,
+    folder: Path,
+    jobs: int,
+    scheduler: str | None,
+    progress: Callable[[int, int], None],
+) -> Ranks:
+    """The ranks of one design; its tables are written."""
     results = run_chunks(
-        task, N, folder / "sbc", task.key, jobs, chunk=8, scheduler=scheduler, progress=progress
+        task, N, folder / name, task.key, jobs, chunk=8, scheduler=scheduler, progress=progress
     )
     names = tuple(task.problem.layout.names)
     good = (results["ranks"] >= 0).all(axis=1)
     ranks = Ranks(names, results["ranks"][good], N_RANKS)
-    write(ranks)
-    pd.DataFrame(ranks.ranks, columns=list(names)).to_csv(TABLES / "sbc_ranks.csv", index=False)
-    samplers(results).to_csv(TABLES / "sbc_samplers.csv", index=False, float_format="%.4g")
-
-
-def write(ranks: Ranks) -> None:
-    """Table and figure from the ranks."""
     table = ranks.table()
     table["p_chi2_bonferroni"] = np.minimum(1.0, len(table) * table["p_chi2"])
     table["p_ecdf_bonferroni"] = np.minimum(1.0, len(table) * table["p_ecdf"])
-    table.to_csv(TABLES / "sbc.csv", index=False, float_format="%.4g")
-    draw(ranks)
+    table.to_csv(TABLES / f"{name}.csv", index=False, float_format="%.4g")
+    pd.DataFrame(ranks.ranks, columns=list(names)).to_csv(TABLES / f"{name}_ranks.csv", index=False)
+    samplers(results).to_csv(TABLES / f"{name}_samplers.csv", index=False, float_format="%.4g")
+    return ranks
 
 
 def samplers(results: dict[str, np.ndarray]) -> pd.DataFrame:
@@ -91,6 +128,7 @@ def samplers(results: dict[str, np.ndarray]) -> pd.DataFrame:
             {
                 "sampler": list(SAMPLERS)[number] if number >= 0 else "failed",
                 "n": int(those.sum()),
+                "refitted": int(results["refitted"][those].sum()),
                 "not_converged": int((results["converged"][those] == 0).sum()),
                 "largest_r_hat": np.max(results["r_hat"][those]),
                 "smallest_ess": np.min(results["ess"][those]),

@@ -251,15 +251,16 @@ def committed(name: str) -> pd.DataFrame:
 
 
 @pytest.mark.tables
-def test_committed_ranks_give_the_committed_table() -> None:
-    raw, table = committed("sbc_ranks.csv"), committed("sbc.csv")
+@pytest.mark.parametrize("name", ["sbc", "sbc_short"])
+def test_committed_ranks_give_the_committed_table(name: str) -> None:
+    raw, table = committed(f"{name}_ranks.csv"), committed(f"{name}.csv")
     found = Ranks(tuple(raw.columns), raw.to_numpy(), int(table["n_ranks"].iloc[0])).table()
     assert len(raw) >= 500 and (table["n"] == len(raw)).all()
     assert list(found["parameter"]) == list(table["parameter"])
     for column in ("mean_rank", "chi2", "p_chi2", "largest_ecdf_difference", "p_ecdf"):
         # four digits are written
         np.testing.assert_allclose(found[column], table[column], rtol=1e-3)
-    samplers = committed("sbc_samplers.csv")
+    samplers = committed(f"{name}_samplers.csv")
     assert samplers.loc[samplers["sampler"] != "failed", "n"].sum() == len(raw)
 
 
