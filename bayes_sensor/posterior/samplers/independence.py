@@ -102,8 +102,10 @@ def _chains(
                 f"acceptance {acceptance:.2f}, Pareto k-hat {k_hat:.2f} (trusted below "
                 f"{K_HAT_LIMIT}), {settings.n_chains} independent chains compared"
             )
+            if not done:
+                reason += "; it did not reach its target and was given up"
             likelihood = np.stack(chains)[:, :, n_theta:]
-            run = Run(stacked, True, reason, acceptance, k_hat, found, likelihood)
+            run = Run(stacked, done, reason, acceptance, k_hat, found, likelihood)
             return run, every, every_w
 
 
