@@ -138,6 +138,7 @@ def test_detectability_is_the_noncentrality_of_simulated_data() -> None:
     assert abs(np.mean(excess) - fit.d**2) < 4.0 * scatter + 0.03 * fit.d**2
 
 
+@pytest.mark.slow
 def test_strength_for_meets_its_target(rig: Case) -> None:
     for name in ("wall_pockets", "closing_spring", "mains_hum", "wild_samples"):
         strength, met = strength_for(rig, name, 8.0)
@@ -564,6 +565,7 @@ def test_the_table_of_the_card_holds_every_number(many: list[Row]) -> None:
     assert rows.lo95[name] < rows.rate[name] < rows.hi95[name]
 
 
+@pytest.mark.slow
 def test_the_figure_has_the_same_bytes_each_time_and_says_where_it_is_empty(
     many: list[Row],
 ) -> None:

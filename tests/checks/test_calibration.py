@@ -161,6 +161,7 @@ def test_another_key_starts_again(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("call-*"))) == 4
 
 
+@pytest.mark.slow
 def test_numbers_do_not_depend_on_jobs(tmp_path: Path) -> None:
     one = run_chunks(Conjugate(), 8, tmp_path / "one", "key", jobs=1, chunk=2)
     two = run_chunks(Conjugate(), 8, tmp_path / "two", "key", jobs=2, chunk=2)

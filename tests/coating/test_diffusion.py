@@ -154,6 +154,7 @@ def test_mean_delay_of_two_layers_without_a_side():
 # --- finite elements against the separated solution
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_finite_elements_agree_with_separation_of_variables(name):
     coating = SHAPES[name]

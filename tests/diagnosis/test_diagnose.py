@@ -93,6 +93,7 @@ def test_a_visible_effect_or_its_family_is_named(effect, strength):
     assert gap.verdict.sentence[0].isupper() and gap.verdict.sentence.endswith(".")
 
 
+@pytest.mark.slow
 def test_fitted_strengths_are_the_true_ones():
     strength = diagnosed("valve_asymmetry", 1.25).which.set_index("effect").strength
     assert strength["valve_asymmetry"]["closing_ratio"] == pytest.approx(1.25, abs=0.03)
@@ -358,6 +359,7 @@ def test_the_same_seed_gives_the_same_record():
     assert records[0] == records[1]
 
 
+@pytest.mark.slow
 def test_closure_and_held_out_agree_where_the_cause_is_right():
     gap = diagnosed("flow_switching", 1.0)
     closed = gap.shrink.closure
@@ -625,6 +627,7 @@ def test_flows_written_to_each_others_records_are_explained_by_their_factors() -
     assert factors["3"] == pytest.approx(3.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_commands_that_switch_times_lean_on_are_told_before_the_verdict() -> None:
     campaign = measured({}, seed=3)
     late = tuple(  # written later than the response begins
@@ -657,6 +660,7 @@ def test_a_family_that_leaves_what_no_process_knows_is_not_stated() -> None:
     assert "standard deviations of misfit are left: the cause is not" in gap.verdict.sentence
 
 
+@pytest.mark.slow
 def test_an_event_beside_an_effect_is_a_note() -> None:
     campaign = measured({"gain_drift": 0.0025}, seed=2, sigma=0.02)
     values = {e.name: e.values.copy() for e in campaign}

@@ -427,6 +427,7 @@ def test_a_line_stands_beside_an_effect_on_the_mean_and_is_unlisted_by_itself():
     assert hum.shrink.tau_after_s == pytest.approx(quiet.shrink.tau_after_s, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_line_that_moves_the_bins_is_a_rival_of_the_effects():
     line = Finding(SIGNALS["line"], 20.0, {"line_V": 0.004, "line_Hz": 17.3}, 10.0)
     assert line.beside_the_mean

@@ -44,6 +44,7 @@ def diagnosed(rig: str, effect: str = "", strength: float | None = None, seed: i
     return diagnose_gap(campaign, fit, seed=1, bootstrap=0, separate=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", CASES)
 def test_the_kernel_is_the_exact_response_where_nothing_is_wrong(rig: str) -> None:
     case = CASES[rig]()

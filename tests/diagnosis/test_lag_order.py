@@ -185,6 +185,7 @@ def test_where_nobody_knows_both_readings_are_said() -> None:
     assert any("Nobody knows which lag is the sensor's" in note for note in gap.notes)
 
 
+@pytest.mark.slow
 def test_where_nobody_knows_nothing_is_said_of_tau() -> None:
     record = diagnosed("unknown").to_json()
     said = [record["budget"], record["shrink"], record["hidden"], *record["hidden"]["effects"],

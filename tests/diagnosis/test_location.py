@@ -119,6 +119,7 @@ def test_volts_are_what_explanations_take_where_they_add_it() -> None:
     assert np.sqrt(said) == pytest.approx(np.sqrt(true), rel=0.25)
 
 
+@pytest.mark.slow
 def test_a_jump_on_the_plateau_lies_on_the_plateau_and_says_when() -> None:
     campaign = measured({}, seed=5)
     values = {e.name: e.values + 0.04 * (e.t > 25.0) * (e.t < 30.0) for e in campaign}
@@ -137,6 +138,7 @@ def test_a_jump_on_the_plateau_lies_on_the_plateau_and_says_when() -> None:
     assert diagnosed("flow_error").to_json()["verdict"]["sets_in"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 40, -1])
 def test_the_noise_that_a_process_leaves_is_that_of_dense_matrices(which: int) -> None:
     gap = weak("dead_volume")
@@ -157,6 +159,7 @@ def test_the_noise_that_a_process_leaves_is_that_of_dense_matrices(which: int) -
     assert jacobian.T @ left == pytest.approx(pulled, abs=1e-6 * np.abs(pulled).max() + 1e-6)
 
 
+@pytest.mark.slow
 def test_explanations_take_what_they_leave_out_of_the_residual() -> None:
     comparison = weak("valve_asymmetry").comparison
     best = max(comparison.hypotheses, key=lambda h: h.log_weight)

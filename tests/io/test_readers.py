@@ -1065,6 +1065,7 @@ def survives(folder: Path, data: bytes, file: str) -> None:
     assert file in message and "\n" not in message
 
 
+@pytest.mark.slow
 @given(
     # a sample 1e12 times as large as most is refused as out of all proportion
     st.lists(

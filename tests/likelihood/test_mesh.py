@@ -107,6 +107,7 @@ class AnyModel(Cascade):
         return super().mean(t, theta, layout, experiment)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma1", [0.002, 0.06])
 @pytest.mark.parametrize("per_experiment", [False, True])
 def test_levels_of_noise_rise_and_fall(sigma1: float, per_experiment: bool) -> None:

@@ -190,6 +190,7 @@ def test_independence_refits_a_proposal_that_misses_and_then_agrees() -> None:
     np.testing.assert_allclose(second.std(axis=0) / first.std(axis=0), 1.0, atol=0.25)
 
 
+@pytest.mark.slow
 def test_hmc_takes_over_only_where_its_gradient_is_compiled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -63,6 +63,7 @@ def test_every_sampler_converges_and_says_how(sampler: str, phi: float) -> None:
     assert np.abs(z).max() < 4.5 and np.abs(z).max() > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 @pytest.mark.parametrize(
     "pair", [("emcee", "hmc"), ("independence", "hmc"), ("emcee", "independence")]

@@ -80,6 +80,7 @@ def test_filter_and_smoother_are_those_of_a_dense_gaussian(
     assert e @ e == pytest.approx(y[seen] @ np.linalg.solve(inner, y[seen]), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_values_of_the_input_act_as_measurements_of_it() -> None:
     rng = np.random.default_rng(4)
     t = irregular(40, rng)
@@ -102,6 +103,7 @@ def test_values_of_the_input_act_as_measurements_of_it() -> None:
     np.testing.assert_allclose(variance, np.diag(uu - cross @ weights), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_covariances_that_settle_change_no_result() -> None:
     """On a regular record only means are carried on after a while; statsmodels never does so."""
     from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother

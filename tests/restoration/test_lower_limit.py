@@ -1,6 +1,7 @@
 """An input held above a limit, against samples of the dense Gaussian that obey it."""
 
 import numpy as np
+import pytest
 
 from bayes_sensor.restoration.lower_limit import hold_above
 from bayes_sensor.restoration.state_space import Model
@@ -31,6 +32,7 @@ def test_the_held_input_is_that_of_the_draws_that_obey_everywhere() -> None:
     assert np.abs(free - obey.mean(axis=0)).max() > 0.5 * sd.max()
 
 
+@pytest.mark.slow
 def test_a_limit_far_below_changes_nothing() -> None:
     t = np.arange(50) * 1.0
     y = np.sin(t / 10.0)

@@ -139,6 +139,7 @@ def test_fit_is_the_same(change: str) -> None:
     assert words(campaign_remarks(campaign)) == words(campaign_remarks(fitted()[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 def test_low_noise_and_a_high_one_are_the_same(change: str) -> None:
     # noise of 1e-4 steps; 1e6 steps away the floats themselves are rounded to 2e-10 steps, which is
@@ -349,6 +350,7 @@ def assert_same_diagnosis(found: Any, expected: Any, change: str) -> None:
     assert found["seen"] == expected["seen"]
 
 
+@pytest.mark.slow
 def test_kink_is_seen_at_all() -> None:
     # else the diagnoses above would agree about nothing
     assert diagnosed()["verdict"]["kind"] != "none"
