@@ -41,7 +41,7 @@ STUDIES = {
     "reproduction": study_reproduction.run,
     "predictive": study_predictive.run,
     "sbc": study_sbc.run,
-    "sbc_short": study_sbc.run_short,
+    "sbc-short": study_sbc.run_short,
     "coverage": study_coverage.run,
     "bounds": study_bounds.run,
     "other-rigs": study_other_rigs.run,

@@ -9,7 +9,7 @@ sampler refits its proposal or hands over.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,18 @@ INTERVAL, DURATION, ON, OFF = 5e-3, 40.0, 8.0, 24.0  # s
 FLOWS = ((4.0, 0.5), (8.0, 1.0), (2.5, 0.5))  # L/min
 
 
+def of_each(experiments: Iterable[Experiment], late: float) -> dict[str, Prior]:
+    """Priors of every record's own parameters; switches up to ``late`` s after their commands."""
+    priors = {}
+    for e in experiments:
+        priors[f"y0_V[{e.name}]"] = Prior("normal", 0.25, 0.05)
+        priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.3)
+        for name, at in (("t0_s", e.commanded_on), ("tf_s", e.commanded_off)):
+            if at is not None:
+                priors[f"{name}[{e.name}]"] = Prior("uniform", at, at + late)
+    return priors
+
+
 def problem() -> Problem:
     """The design and its priors."""
     t = np.arange(round(DURATION / INTERVAL)) * INTERVAL
@@ -43,11 +55,7 @@ def problem() -> Problem:
         "sigma0_V": Prior("half_normal", 0.02),
         "sigma1_V": Prior("half_normal", 0.03),
     }
-    for e in experiments:
-        priors[f"y0_V[{e.name}]"] = Prior("normal", 0.25, 0.05)
-        priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.3)
-        priors[f"t0_s[{e.name}]"] = Prior("uniform", ON, ON + 1.0)
-        priors[f"tf_s[{e.name}]"] = Prior("uniform", OFF, OFF + 1.0)
+    priors |= of_each(experiments, late=1.0)
     return Problem(
         Campaign("calibration design", experiments, sensor_is="faster"), given_priors=priors
     )
@@ -66,11 +74,7 @@ def short_problem() -> Problem:
         "sigma0_V": Prior("half_normal", 0.2),
         "sigma1_V": Prior("half_normal", 0.2),
     }
-    for e in experiments:
-        priors[f"y0_V[{e.name}]"] = Prior("normal", 0.25, 0.05)
-        priors[f"beta_V[{e.name}]"] = Prior("normal", 1.9, 0.3)
-        priors[f"t0_s[{e.name}]"] = Prior("uniform", 20.0, 26.0)
-    priors["tf_s[1]"] = Prior("uniform", 70.0, 76.0)
+    priors |= of_each(experiments, late=6.0)
     campaign = Campaign("short records", experiments, stages=("sensor",), sensor_is="faster")
     return Problem(campaign, given_priors=priors)
 

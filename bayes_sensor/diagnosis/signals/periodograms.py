@@ -336,8 +336,7 @@ def _local_level(power: FloatArray, per_resolution: float, k: int) -> FloatArray
 def _medians(power: FloatArray, centres: FloatArray, halves: FloatArray) -> FloatArray:
     # (n_centres,) of the power around each centre, to half a width on both sides
     low = np.maximum(centres - halves, 1.0).astype(int)
-    high = np.minimum(centres + halves, float(len(power))).astype(int) + 1
-    high = np.minimum(high, len(power))
+    high = np.minimum((centres + halves).astype(int) + 1, len(power))
     middle = _median_of_each(power, low, high, most=400)
     # where a filter cuts the noise off, the louder side is no line above the quieter one
     louder = np.zeros(len(centres))

@@ -29,21 +29,19 @@ def run_independence(target: Target) -> Run:
     the chains begin anew (adaptive importance sampling: Cappe et al., J. Comput. Graph. Stat. 13,
     2004); each run of chains has one fixed proposal.
     """
-    proposal, streams = target.laplace, target.streams
+    proposal = target.laplace
     for refits in range(MOST_REFITS + 1):
-        run, thetas, log_weights = _chains(target, proposal, refits, streams)
+        run, thetas, log_weights = _chains(target, proposal, refits)
         if run.good or not np.isfinite(log_weights).any():
             break
         proposal = proposal.refitted(thetas, log_weights)
     return run
 
 
-def _chains(
-    target: Target, proposal: Laplace, refits: int, streams: np.random.SeedSequence
-) -> tuple[Run, FloatArray, FloatArray]:
+def _chains(target: Target, proposal: Laplace, refits: int) -> tuple[Run, FloatArray, FloatArray]:
     """Chains by one proposal; also all that was proposed (n, n_theta) and its log weights (n,)."""
     problem, settings = target.problem, target.settings
-    rngs = [np.random.default_rng(s) for s in streams.spawn(settings.n_chains)]
+    rngs = [np.random.default_rng(s) for s in target.streams.spawn(settings.n_chains)]
     n_theta = len(problem.layout)
     chains = [np.empty((0, n_theta + len(problem.campaign))) for _ in rngs]
     states: list[Any] = [None] * len(rngs)
