@@ -21,7 +21,6 @@ from bayes_sensor.analysis.fit_step import (
 from bayes_sensor.analysis.gap_step import begin_gap, run_gap, save_gap
 from bayes_sensor.analysis.job import CHECKPOINT, SAVES, Bar, Job, no_bar
 from bayes_sensor.analysis.job_warnings import warnings_of
-from bayes_sensor.analysis.pick_up import pick_up
 from bayes_sensor.analysis.posterior_step import (
     run_fast,
     run_posterior,
@@ -30,6 +29,7 @@ from bayes_sensor.analysis.posterior_step import (
 )
 from bayes_sensor.analysis.put_report import last_step, put_report
 from bayes_sensor.analysis.read_input import check_methods, read_input
+from bayes_sensor.analysis.resume import take_up_finished
 from bayes_sensor.analysis.saved_records import put_campaign
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.json_files import sha256
@@ -157,7 +157,7 @@ def run_steps(
         return job
     with results.locked(patience, SAVES[command]), ExitStack() as stack:
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
-        staged = pick_up(job)
+        staged = take_up_finished(job)
         begun(job)
         stages, unsaved = job.stages, list[str]()
         last = [stage for stage in stages if stage != "report"][-1]

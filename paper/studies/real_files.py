@@ -19,8 +19,10 @@ import pandas as pd
 from drawing import TABLES
 
 COMMANDS = ("check", "fit", "posterior", "gap")
-MOST_SECONDS, MOST_BYTES = 240, 4 << 30
+MOST_SECONDS, MOST_BYTES = 900, 4 << 30
 """of a processor, and of address space, for one command"""
+LONGEST = 200
+"""characters kept of what a command says"""
 SUFFIXES = (".csv", ".txt", ".mat", ".parquet")
 SETTINGS = '[posterior]\nsampler = "independence"\n'
 FIRST = """title = "first try"
@@ -48,7 +50,7 @@ def _limited() -> None:
 
 
 def outcome(command: str, campaign: Path, out: Path, config: Path) -> dict[str, Any]:
-    """Exit code, seconds of a processor, peak memory and last words of one command."""
+    """Exit code, seconds of a processor, peak memory, warnings and words of one command."""
     words = [sys.executable, "-m", "bayes_sensor", command, str(campaign), "--config", str(config)]
     words += [] if command == "check" else ["--out", str(out)]
     with subprocess.Popen(
@@ -59,21 +61,23 @@ def outcome(command: str, campaign: Path, out: Path, config: Path) -> dict[str, 
         said, error = process.stdout.read(), process.stderr.read()
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    lines = [line for line in said.splitlines() if line and not line.startswith("results:")]
-    ordinary = process.returncode in (0, 3)
-    last = lines if ordinary else error.splitlines()
+    lines = [line for line in said.splitlines() if line]
+    remarks = [line for line in lines if line.startswith(("warning:", "remark:"))]
+    words = [line for line in lines if line not in remarks and not line.startswith("results:")]
+    if process.returncode not in (0, 3):
+        words = error.splitlines()[-1:] or ["stopped at the limit"]
     return {
-        "command": command,
         "exit_code": process.returncode,
         "seconds": used.ru_utime + used.ru_stime,
         "peak_MB": used.ru_maxrss / 1024,
         "traceback": int("Traceback" in error),
-        "said": last[-1][:160] if last else "",
+        "warnings": len(remarks),
+        "said": (words[-1] if command == "check" else words[0]) if words else "",
     }
 
 
 def tried(folder: Path, known: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """One row a file and command; ``known``: campaigns by the name of their file."""
+    """One row a file; ``known``: campaigns by the name of their file."""
     for path in files(folder):
         name = path.parent.name if path.suffix == ".toml" else path.name
         with TemporaryDirectory() as place:
@@ -85,8 +89,17 @@ def tried(folder: Path, known: Mapping[str, str]) -> Iterator[dict[str, Any]]:
                 campaign.write_text("allow_outside = true\n" + text, encoding="utf-8")
             config = Path(place) / "settings.toml"
             config.write_text(SETTINGS)
-            for command in COMMANDS:
-                yield {"file": name, **outcome(command, campaign, Path(place) / "out", config)}
+            found = {c: outcome(c, campaign, Path(place) / "out", config) for c in COMMANDS}
+        each = list(found.values())
+        yield {
+            "file": name,
+            "exit_codes": " ".join(str(row["exit_code"]) for row in each),
+            **{f"{command}_s": row["seconds"] for command, row in found.items()},
+            "peak_MB": max(row["peak_MB"] for row in each),
+            "tracebacks": sum(row["traceback"] for row in each),
+            "warnings": max(row["warnings"] for row in each),
+            **{command: row["said"][:LONGEST] for command, row in found.items()},
+        }
 
 
 def write_table(folder: Path, known: Mapping[str, str]) -> None:

@@ -9,7 +9,7 @@ times, each of these runs is a fork of one process that has loaded it.
 The other faults are met as a user meets them: on file systems of a few kilobytes and one mounted
 read-only, where this program may mount; by a second run into the same folder; by the signal that
 Ctrl-C sends, with the machine's load stated; by a worker's death; by a Dask worker and a Dask
-scheduler that go away.  At last a hundred diagnoses in one process show what that keeps.
+scheduler that go away.  At last five hundred diagnoses in one process show what that keeps.
 """
 
 from __future__ import annotations
@@ -598,7 +598,7 @@ def run(
         keep(f"read-only {name}", lambda c=named[name]: read_only(c, place))
     for name in ("posterior", "fleet"):
         keep(f"in use {name}", lambda c=named[name]: in_use(c, place))
-    keep("diagnoses", lambda: many_diagnoses(place, 100))
+    keep("diagnoses", lambda: many_diagnoses(place, 500))
     for which in ("worker", "scheduler"):
         for name in ("coverage", "fleet"):
             keep(f"dask {which} {name}", lambda c=named[name], w=which: dask_dies(c, place, w, 3))

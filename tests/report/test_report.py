@@ -35,7 +35,6 @@ from bayes_sensor.report import (
     Table,
     alerts,
     assemble,
-    draw,
     headline,
     html,
     markdown,
@@ -53,6 +52,7 @@ from bayes_sensor.report.html import zoom_data
 from bayes_sensor.report.markdown import escaped
 from bayes_sensor.report.parts import (
     Section,
+    draw,
     numbering,
     p_value,
     pieces,

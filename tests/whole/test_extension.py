@@ -44,7 +44,7 @@ NAMESAKES = {
         for file in (
             "analysis/job",
             "analysis/overrides",
-            "analysis/pick_up",
+            "analysis/resume",
             "analysis/plots",
             "analysis/posterior_step",
             "analysis/run_steps",

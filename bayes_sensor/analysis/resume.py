@@ -1,4 +1,7 @@
-"""Results of an analysis that was begun earlier, taken up by one that continues it."""
+"""``analyze --resume``: what an analysis that was begun earlier has finished is not computed again.
+
+Emcee's unfinished ensembles go on by themselves, from :mod:`bayes_sensor.posterior.checkpoints`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from bayes_sensor.campaign import CampaignError
 LOG = logging.getLogger(__name__)
 
 
-def pick_up(job: Job) -> bool:
+def take_up_finished(job: Job) -> bool:
     """Take over what an unfinished run of the same job has left, if ``job`` resumes.
 
     Returns whether results may be written one by one: into a folder that holds none of an earlier
