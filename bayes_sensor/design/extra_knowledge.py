@@ -152,7 +152,7 @@ def as_pulse(setting: PlannedSetting, pulses: int, truth: Truth) -> PlannedSetti
         return None  # a programme of its own
     n = len(e.t) // pulses
     duration = n * e.interval
-    if not truth.settles(duration, e.total_flow):
+    if duration < truth.shortest(e.total_flow):
         return None
     return planned(
         e.name, e.total_flow, e.concentration, duration, e.interval, setting.y0, setting.beta,

@@ -17,6 +17,8 @@ from bayes_sensor.rig.ties import refuse_ties
 
 BEGIN, END = 0.2, 0.6
 """when a proposed experiment's step starts and ends, as fractions of its duration"""
+SETTLED = 6.0
+"""times its slowest lag, after which a response is over"""
 
 
 @dataclass(frozen=True)
@@ -73,10 +75,10 @@ class Truth:
         found = [self.other_lags(setting.experiment.total_flow) for setting in settings]
         return min((float(lags.min()) for lags in found if lags.size), default=self.tau)
 
-    def settles(self, duration: float, total_flow: float) -> bool:
-        """Whether the response to a step of a record of ``duration`` s is over at its end."""
+    def shortest(self, total_flow: float) -> float:
+        """s, the shortest record in which the response to a step is over at its end."""
         slowest = float(self.rig.lags(np.array(self.shared), total_flow).max())
-        return (END - BEGIN) * duration >= 6.0 * slowest
+        return SETTLED * slowest / (END - BEGIN)
 
 
 def refuse_several_sensors(campaign: Campaign) -> None:

@@ -88,7 +88,7 @@ def commands(place: Path) -> list[Command]:
     one, other = str(place / "a" / "campaign.toml"), str(place / "effect" / "campaign.toml")
     quick = ("--config", str(place / "quick.toml"))
     few = ("--setting", "iid", "--method", "crlb_ar1", "--method", "sandwich")
-    goal = ("--target-tau", "100 ms", "--check", "0")
+    goal = ("--target-tau", "10 ms", "--check", "0", "--duration", "20 s", "60 s")
     return [
         Command("report", ("report",), 24, False, str(place / "analysed")),
         Command("posterior --sampler hmc", ("posterior", one, *quick, "--sampler", "hmc"), 10),
