@@ -14,9 +14,7 @@ it changes; effects on different settings can therefore act together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import cos, exp, log, sin, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,158 +22,71 @@ from numpy.typing import NDArray
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import compiled
 from bayes_sensor.rig.exponential import exponentials
+from bayes_sensor.rig.imperfections import (
+    BEFORE_THE_READOUT,
+    BEND,
+    CARRY,
+    CARRY_SPREAD,
+    CARRY_TIME,
+    CLOSING,
+    CLOSING_BEND,
+    CONCENTRATION,
+    EMPTYING,
+    FILTER,
+    FILTER_BUTTERWORTH,
+    FILTER_SECOND,
+    FLOW,
+    INERTIA,
+    LATE,
+    LATE_FALL,
+    LATE_RISE,
+    OF_THE_GAS,
+    POCKET,
+    POCKET_TIME,
+    PREMIXED,
+    RELEASE,
+    RELEASE_WIDTH,
+    SETTLING,
+    SETTLING_SWING,
+    SETTLING_TIME,
+    SLOW_V,
+    SLOW_V_TIME,
+    START,
+    STEP,
+    STROKE,
+    SWITCHING,
+    T0,
+    TANK,
+    TAU,
+    TAU_M,
+    TAU_V,
+    TF,
+    VALVE_FACTOR,
+)  # fmt: skip
 from bayes_sensor.rig.lag_cells import (
     GROWTH,
     Cells,
     add_butterworth,
     add_within,
-    advance,
     fill_middles,
     grow_grid,
     lag_states,
     with_pocket,
 )
+from bayes_sensor.rig.sensor_and_readout import (
+    cells_of,
+    factor_of,
+    read_volts,
+    sensor_modes,
+    sensor_states,
+    share_of,
+    step_mean,
+)
 from bayes_sensor.rig.sorting import sort
-
-GAS, SENSOR, READOUT = "gas", "sensor", "readout"
-"""stages: what one of them changes leaves those before it as they are"""
-
-# the first entries of the kernel's parameter vector, before the settings
-TAU, TAU_V, TAU_M, Y0, BETA, T0, TF, CONCENTRATION, START, MIDDLE = range(10)
-FIRST = 10
-_stages = [SENSOR, GAS, GAS, READOUT, READOUT, GAS, GAS, GAS, SENSOR, READOUT]
-
-
-class RigSetting(NamedTuple):
-    """One imperfection that the rig may have."""
-
-    neutral: float
-    """the value at which it has none"""
-    stage: str
-    meaning: str
-    """with its unit"""
-
-
-SETTINGS: dict[str, RigSetting] = {}
-"""by name, in the order of the kernel's parameter vector"""
-
-
-def _setting(name: str, neutral: float, stage: str, meaning: str) -> int:
-    """The place in the kernel's parameter vector of a setting that is new in the table."""
-    SETTINGS[name] = RigSetting(neutral, stage, meaning)
-    _stages.append(stage)
-    return len(_stages) - 1
-
-
-# A setting with new physics is one line here and what the kernel does with it.
-CLOSING = _setting(
-    "closing_ratio", 1.0, GAS, "valve time constant when shutting over that when opening"
-)
-CLOSING_BEND = _setting(
-    "closing_bend", 0.0, GAS, "how much that constant falls from the first of the way to the last"
-)
-INERTIA = _setting("inertia", 0.0, GAS, "kappa in kappa tau_v^2 x'' + tau_v x' + x = u")
-STROKE = _setting("stroke", 0.0, GAS, "s, time in which the valve's command goes from shut to open")
-BEND = _setting("stroke_bend", 0.0, GAS, "0: evenly .. 1: accelerating evenly, from rest")
-SLOW_V = _setting("slow_valve_share", 0.0, GAS, "share of the valve's opening that follows slowly")
-SLOW_V_TIME = _setting("slow_valve_time", 1.0, GAS, "s, time constant of that share")
-SETTLING = _setting(
-    "settling_share", 0.0, GAS, "inlet concentration is low by this share right after opening"
-)
-SETTLING_TIME = _setting("settling_time", 1.0, GAS, "s, in which that deficit decays")
-SETTLING_SWING = _setting("settling_swing", 0.0, GAS, "rad/s, with which it swings while it decays")
-SWITCHING = _setting(
-    "flow_switching", 0.0, GAS, "share of the test-gas flow that stops when the valve shuts"
-)
-PREMIXED = _setting(
-    "premixed", 0.0, GAS, "1: what then enters keeps the concentration that the valve gives it"
-)
-FLOW = _setting("flow_factor", 1.0, GAS, "true total flow over the set one")
-POCKET = _setting("pocket_share", 0.0, GAS, "volume of a stagnant pocket over V")
-POCKET_TIME = _setting("pocket_time", 1.0, GAS, "s, exchange time of the pocket")
-TANK = _setting("tank_share", 0.0, GAS, "share of V that forms a second tank in series")
-RELEASE = _setting(
-    "release_ratio", 1.0, SENSOR, "sensor time constant of release over that of uptake"
-)
-RELEASE_WIDTH = _setting(
-    "release_width", 0.0, SENSOR, "distance from equilibrium, of the step, over which that changes"
-)
-SLOW_S = _setting(
-    "slow_site_share", 0.0, SENSOR, "share of the sensor's response that follows slowly"
-)
-SLOW_S_TIME = _setting("slow_site_time", 1.0, SENSOR, "s, time constant of that share")
-SLOW_S_SPREAD = _setting(
-    "slow_site_spread",
-    1.0,
-    SENSOR,
-    "half of that share is this much slower or faster, in equal parts",
-)
-COATING = _setting(
-    "coating", 0.0, SENSOR, "0 single lag .. 1 diffusion through the layered coating"
-)
-FILTER = _setting("filter", 0.0, SENSOR, "s, time constant of a low-pass before the converter")
-FILTER_SECOND = _setting(
-    "filter_second", 0.0, SENSOR, "s, time constant of that low-pass' second pole; 0: it has one"
-)
-FILTER_BUTTERWORTH = _setting(
-    "filter_butterworth", 0.0, SENSOR, "s, 1/omega of a Butterworth low-pass of two poles there"
-)
-CURVATURE = _setting(
-    "curvature", 0.0, READOUT, "1/V, k in v + k v (v - beta) + m v (v^2 - beta^2), v = beta x3"
-)
-CUBIC = _setting("cubic", 0.0, READOUT, "1/V^2, m in the same")
-DRIFT = _setting("drift", 0.0, READOUT, "V/s, slope of the baseline")
-DRIFT_CURVE = _setting("drift_curve", 0.0, READOUT, "V/s^2, bend of the baseline")
-DRIFT_TWIST = _setting("drift_twist", 0.0, READOUT, "V/s^3, change of that bend")
-STEP = _setting("step", 0.0, READOUT, "V, step of the baseline")
-STEP_TIME = _setting("step_time", 0.0, READOUT, "s, when it begins")
-STEP_WITH_FALL = _setting("step_with_fall", 0.0, READOUT, "1: that time counts from the step down")
-STEP_WIDTH = _setting("step_width", 0.0, READOUT, "s, time constant with which it settles")
-GAIN = _setting("gain_drift", 0.0, READOUT, "1/s, relative change of beta with time after t0")
-GAIN_CURVE = _setting("gain_curve", 0.0, READOUT, "1/s^2, bend of that change")
-GAIN_TWIST = _setting("gain_twist", 0.0, READOUT, "1/s^3, change of that bend")
-GAIN_OF_ALL = _setting(
-    "gain_of_all", 0.0, READOUT, "1: what changes is the whole voltage, y0 included"
-)
-CARRY = _setting(
-    "carry_over", 0.0, SENSOR, "share of beta still in the manifold when the record starts"
-)
-CARRY_TIME = _setting("carry_time", 0.0, SENSOR, "s, in which it leaves; 0: the manifold's own V/Q")
-CARRY_SPREAD = _setting(
-    "carry_spread", 1.0, SENSOR, "half of it leaves this much slower or faster, in equal parts"
-)
-VALVE_FACTOR = _setting("valve_factor", 1.0, GAS, "valve time constant over the common one")
-SENSOR_FACTOR = _setting("sensor_factor", 1.0, SENSOR, "sensor time constant over the common one")
-EMPTYING = _setting(
-    "emptying_ratio", 1.0, GAS, "manifold time constant after the step down over that before"
-)
-LATE = _setting(
-    "late_share", 0.0, GAS, "share of the gas that comes later, and goes later, than the rest"
-)
-LATE_RISE = _setting("late_rise", 0.0, GAS, "s, by which it comes later")
-LATE_FALL = _setting("late_fall", 0.0, GAS, "s, by which it goes later")
-
-INDEX = {name: i for i, name in enumerate(SETTINGS)}
-NEUTRAL = np.array([setting.neutral for setting in SETTINGS.values()])
-READOUT_SETTINGS = frozenset(
-    i for i, setting in enumerate(SETTINGS.values()) if setting.stage == READOUT
-)
-"""places among the settings of those that leave the response as it is"""
-_of_the_gas = np.flatnonzero(np.array(_stages) == GAS)
-_before_the_readout = np.flatnonzero(np.array(_stages) != READOUT)
 
 CELLS_PER_TIME_CONSTANT = 14.0
 
 
-def settings_vector(settings: Mapping[str, float]) -> FloatArray:
-    """(n_settings,) the neutral settings with those given replaced.  Raises KeyError."""
-    vector = NEUTRAL.copy()
-    for name, value in settings.items():
-        vector[INDEX[name]] = value
-    return vector
-
-
-# --------------------------------------------------------------------------- the valve
 # --------------------------------------------------------------------------- the valve
 
 
@@ -425,90 +336,6 @@ def _add_response(
 
 
 @compiled(inside=True)
-def sensor_modes(
-    p: FloatArray, mode_share: FloatArray, mode_ratio: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    # shares (n_modes,) and time constants (n_modes,) s of the sensor's parallel lags: the single
-    # one, those of the coating, and slow sites
-    n_modes = len(mode_share)
-    share, tau = np.zeros(n_modes + 4), np.ones(n_modes + 4)
-    share[0] = (1.0 - p[COATING]) * (1.0 - p[SLOW_S])
-    tau[0] = p[TAU] * p[SENSOR_FACTOR]
-    used = 1
-    if p[COATING] != 0.0:
-        for j in range(n_modes):
-            share[used] = p[COATING] * (1.0 - p[SLOW_S]) * mode_share[j]
-            tau[used] = tau[0] * mode_ratio[j]
-            used += 1
-    if p[SLOW_S] != 0.0:
-        spread = p[SLOW_S_SPREAD]
-        for part in range(1 if spread == 1.0 else 3):
-            share[used] = p[SLOW_S] * share_of(part, spread)
-            tau[used] = p[SLOW_S_TIME] * factor_of(part, spread)
-            used += 1
-    return share[:used], tau[:used]
-
-
-@compiled(inside=True)
-def share_of(part: int, spread: float) -> float:
-    # of a lag that is spread: half of it is as it is, a quarter each slower and faster
-    return 1.0 if spread == 1.0 else (0.5 if part == 0 else 0.25)
-
-
-@compiled(inside=True)
-def factor_of(part: int, spread: float) -> float:
-    # .. and by how much
-    return 1.0 if part == 0 else (spread if part == 1 else 1.0 / spread)
-
-
-@compiled(inside=True)
-def cells_of(times: FloatArray, t: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    # the cell of the grid t in which each of the sorted times (n_t,) lies, what is after the last
-    # in the last, and the time since its begin
-    places, since = np.empty(len(times), dtype=np.int64), np.empty(len(times))
-    i, last = 0, len(t) - 2
-    for q in range(len(times)):
-        while i < last and times[q] > t[i + 1]:
-            i += 1
-        places[q] = i
-        since[q] = times[q] - t[i]
-    return places, since
-
-
-@compiled(inside=True)
-def sensor_states(
-    cells: Cells, tau: float, ratio: float, width: float, rates: FloatArray, states: FloatArray
-) -> None:
-    # one of the sensor's lags: its rates (n,) in the cells and its states (n + 1,) at their ends.
-    # It releases more slowly by ``ratio`` than it takes up, each lag by what drives it: one that
-    # is in equilibrium drives itself by rounding alone
-    h, a, m, b = cells
-    for i in range(len(h)):
-        rates[i] = 1.0 / tau
-    if ratio == 1.0:
-        lag_states(cells, rates, states)
-        return
-    states[0], log_ratio = 0.0, log(ratio)
-    for i in range(len(h)):
-        drive = m[i] - states[i]
-        if width > 0.0:  # the state half a cell on is nearer to what counts
-            slower = _slower(drive, log_ratio, width)
-            half_m = 0.375 * a[i] + 0.75 * m[i] - 0.125 * b[i]
-            drive = m[i] - advance(states[i], 0.5 * h[i] / (tau * slower), a[i], half_m, m[i])
-        rates[i] /= _slower(drive, log_ratio, width)
-        states[i + 1] = advance(states[i], h[i] * rates[i], a[i], m[i], b[i])
-
-
-@compiled(inside=True)
-def _slower(drive: float, log_ratio: float, width: float) -> float:
-    # factor on the sensor's time constant where what drives it exceeds its state by this much:
-    # the ratio to the power (1 - tanh(drive/width))/2
-    if width > 0.0:
-        return exp(log_ratio / (1.0 + exp(min(2.0 * drive / width, 700.0))))
-    return exp(log_ratio) if drive < 0.0 else 1.0
-
-
-@compiled(inside=True)
 def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
     # gas left from before: it leaves with the manifold's time constant, or with one of its own or
     # a spread of them, and lags in the sensor, which was in equilibrium with it when the record
@@ -525,50 +352,6 @@ def _add_carried(times: FloatArray, p: FloatArray, out: FloatArray) -> None:
             s = times[i] - p[START]
             if s >= 0.0:
                 out[i] += share * (slow * exp(-s / slow) - fast * exp(-s / fast)) / (slow - fast)
-
-
-@compiled()
-def read_volts(times: FloatArray, p: FloatArray, response: FloatArray, step: float) -> FloatArray:
-    # V at the times of a response x3, with a step of the baseline of ``step`` V
-    y0, beta, middle, cubic = p[Y0], p[BETA], p[MIDDLE], p[CUBIC]
-    # towards the step: a signal upside down bends upside down.  The bend leaves both ends of the
-    # step where they are, so that beta stays the height of the plateau
-    curvature = p[CURVATURE] if beta >= 0.0 else -p[CURVATURE]
-    gain, gain_curve, gain_twist, of_all = p[GAIN], p[GAIN_CURVE], p[GAIN_TWIST], p[GAIN_OF_ALL]
-    drift, drift_curve, drift_twist = p[DRIFT], p[DRIFT_CURVE], p[DRIFT_TWIST]
-    volts = np.empty(len(times))
-    for i in range(len(times)):
-        v = beta * response[i]
-        v *= 1.0 + (v - beta) * (curvature + cubic * (v + beta))
-        since = times[i] - middle
-        opened = times[i] - p[T0]
-        gained = opened * (gain + opened * (gain_curve + opened * gain_twist))
-        v += v * gained + y0 * (1.0 + of_all * gained)
-        volts[i] = v + since * (drift + since * (drift_curve + since * drift_twist))
-    if step != 0.0:
-        step_time = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
-        for i in range(len(times)):
-            if times[i] >= step_time:
-                settled = 1.0
-                if p[STEP_WIDTH] > 0.0:
-                    settled -= exp(-(times[i] - step_time) / p[STEP_WIDTH])
-                volts[i] += step * settled
-    return volts
-
-
-@compiled(inside=True)
-def step_mean(low: float, high: float, p: FloatArray) -> float:
-    # V: mean of the baseline's step between ``low`` and ``high`` s; exact, where a few times in a
-    # bin would not tell where in it the step is
-    begin = p[STEP_TIME] + (p[TF] if p[STEP_WITH_FALL] > 0.0 else 0.0)
-    if high <= begin:
-        return 0.0
-    width, first, last = p[STEP_WIDTH], max(low - begin, 0.0), high - begin
-    area = last - first
-    if width > 0.0:
-        area -= width * (exp(-first / width) - exp(-last / width))
-    mean: float = p[STEP] * area / (high - low)
-    return mean
 
 
 def rig_response(
@@ -623,9 +406,9 @@ def rig_means(
         first, first_gas, first_x3 = of_rigs[k], no_gas, at
         for i in range(first, of_rigs[k + 1]):
             gas, x3 = first_gas, first_x3
-            if i == first or not _same(p[i], p[first], _of_the_gas):
+            if i == first or not _same(p[i], p[first], OF_THE_GAS):
                 gas = _gas(at[-1], p[i])
-            if i == first or not _same(p[i], p[first], _before_the_readout):
+            if i == first or not _same(p[i], p[first], BEFORE_THE_READOUT):
                 x3 = _sensed(at, p[i], gas[0], gas[1], gas[2], mode_share, mode_ratio)
             if i == first:
                 first_gas, first_x3 = gas, x3

@@ -19,23 +19,13 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import compiled
-from bayes_sensor.rig.lag_cells import (
-    GROWTH,
-    Cells,
-    add_within,
-    fill_middles,
-    grow_grid,
-    lag_states,
-    of_two_poles,
-    passed,
-    with_pocket,
+from bayes_sensor.rig.imperfections import (
+    BEND as STROKE_BEND,
 )
-from bayes_sensor.rig.perturbed import BEND as STROKE_BEND
-from bayes_sensor.rig.perturbed import (
+from bayes_sensor.rig.imperfections import (
     CARRY,
     CARRY_SPREAD,
     CARRY_TIME,
-    CELLS_PER_TIME_CONSTANT,
     CLOSING,
     CONCENTRATION,
     EMPTYING,
@@ -67,6 +57,22 @@ from bayes_sensor.rig.perturbed import (
     TANK,
     TAU,
     VALVE_FACTOR,
+)  # fmt: skip
+from bayes_sensor.rig.lag_cells import (
+    GROWTH,
+    Cells,
+    add_within,
+    fill_middles,
+    grow_grid,
+    lag_states,
+    of_two_poles,
+    passed,
+    with_pocket,
+)
+from bayes_sensor.rig.perturbed import (
+    CELLS_PER_TIME_CONSTANT,
+)
+from bayes_sensor.rig.sensor_and_readout import (
     cells_of,
     factor_of,
     read_volts,
@@ -74,7 +80,7 @@ from bayes_sensor.rig.perturbed import (
     sensor_states,
     share_of,
     step_mean,
-)  # fmt: skip
+)
 
 PLAIN, VALVE, FIRST_VOLUME, VOLUME, SENSOR = range(5)
 """what a lag of the chain is of"""

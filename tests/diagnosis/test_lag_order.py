@@ -26,9 +26,13 @@ from bayes_sensor.diagnosis.wording import effect_sentence, second_words, with_a
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.report.sections.gap_section import envelope_sentences, shrink_sentences
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
+from bayes_sensor.rig.imperfections import (
+    TAU,
+    TAU_M,
+    TAU_V,
+)
 from bayes_sensor.rig.lags import Naming, assignments
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.rig.perturbed import TAU, TAU_M, TAU_V
 from tests.support.planted_effects import design, theta
 from tests.support.published_lags import THREE, TWO, assigned, commuting
 

@@ -4,8 +4,8 @@ An effect is one file in :mod:`bayes_sensor.diagnosis.effects`, or one function 
 (:func:`~bayes_sensor.diagnosis.effects.user_effects.own_effect`).  On the mean it acts by one or
 several *forms*: a drift, for example, may be common to all experiments or different in each.  Every
 form declares its strengths with their prior spread, and either changes settings of the rig
-(:data:`bayes_sensor.rig.perturbed.SETTINGS`) or computes the mean itself.  On the noise it acts by
-an :class:`OnNoise`, which holds its detector, too.
+(:data:`bayes_sensor.rig.imperfections.SETTINGS`) or computes the mean itself.  On the noise it acts
+by an :class:`OnNoise`, which holds its detector, too.
 """
 
 from __future__ import annotations

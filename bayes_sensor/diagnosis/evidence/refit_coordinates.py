@@ -16,7 +16,7 @@ from bayes_sensor.diagnosis.effects.effect import Form
 from bayes_sensor.diagnosis.effects.rig_view import RigView, coating_modes
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.coordinate_priors import FASTER, CoordinatePriors
-from bayes_sensor.rig.perturbed import (
+from bayes_sensor.rig.imperfections import (
     BETA,
     CONCENTRATION,
     FIRST,
@@ -30,6 +30,8 @@ from bayes_sensor.rig.perturbed import (
     TAU_V,
     TF,
     Y0,
+)  # fmt: skip
+from bayes_sensor.rig.perturbed import (
     rig_mean,
     rig_means,
 )
