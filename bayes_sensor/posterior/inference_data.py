@@ -11,16 +11,17 @@ import warnings
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from bayes_sensor.io.disk import write_bytes
 from bayes_sensor.io.untrusted import LARGEST_FILE, UNREADABLE, check_size, read_bytes, refused
 
 EXPECTED = "the draws of a posterior"
 DEEPEST = 4
 """levels of groups in a file of ours, and two more"""
-ENGINE = "h5netcdf"
+ENGINE: Final = "h5netcdf"
 
 
 def import_quietly(name: str) -> Any:
@@ -51,16 +52,18 @@ def assemble(groups: Mapping[str, Any], attributes: Mapping[str, Any]) -> Any:
 
 
 def save(groups: Mapping[str, Any], attributes: Mapping[str, Any], path: Path) -> None:
-    """Write Datasets by group name as netCDF-4: the file that ArviZ of either version writes.
+    """Write Datasets by group name as netCDF-4, complete or not at all; either ArviZ reads it.
 
-    By xarray alone, because ArviZ takes two seconds to start.
+    By xarray alone, because ArviZ takes two seconds to start.  HDF5 makes it in memory: what cannot
+    write to a full disk ends this process, now or when it is cleared away.
     """
     import xarray
 
-    root: Any = xarray.Dataset(attrs=dict(attributes))
-    root.to_netcdf(str(path), mode="w", engine=ENGINE)
-    for name, group in groups.items():
-        group.to_netcdf(str(path), mode="a", group=name, engine=ENGINE)
+    root = xarray.Dataset(attrs=dict(attributes))
+    made = io.BytesIO()
+    tree = xarray.DataTree.from_dict({"/": root, **{f"/{k}": group for k, group in groups.items()}})
+    tree.to_netcdf(made, engine=ENGINE)
+    write_bytes(path, made.getvalue())
 
 
 def load_group(path: Path, name: str) -> Any:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.io.disk import replacing
 from bayes_sensor.io.untrusted import refused
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.posterior import inference_data as idata
@@ -41,8 +40,7 @@ def to_inference_data(posterior: Draws) -> Any:
 
 def save_posterior(posterior: Draws, path: str | Path) -> None:
     """Write ``posterior.nc``, complete or not at all."""
-    with replacing(path) as new:
-        idata.save(*_contents(posterior), new)
+    idata.save(*_contents(posterior), Path(path))
 
 
 def _contents(posterior: Draws) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -1,6 +1,9 @@
 """InferenceData under ArviZ 0.23 and the DataTree of ArviZ 1.x: same groups, same names."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -143,3 +146,29 @@ def test_pareto_k_is_that_of_arviz(k: float) -> None:
     # ArviZ 1.x cuts the tail half a draw elsewhere
     tolerance = 0.01 if idata.has_data_tree() else 1e-9
     assert pareto_k(log_weights) == pytest.approx(float(theirs), abs=tolerance)
+
+
+LIMITED = """
+import resource, sys
+import subprocess
+import sys
+from pathlib import Path
+import numpy, xarray
+from bayes_sensor.posterior.inference_data import save
+draws = xarray.Dataset({"tau": (("chain", "draw"), numpy.ones((4, 20000)))})
+save({"posterior": draws}, {}, Path(sys.argv[1]) / "fits.nc")
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+try:
+    save({"posterior": draws}, {}, Path(sys.argv[1]) / "large.nc")
+except OSError:
+    print("told")
+"""
+
+
+def test_a_file_that_cannot_be_written_ends_no_process(tmp_path: Path) -> None:
+    """HDF5 itself does, where it meets a full disk: by a signal, while it clears away."""
+    pytest.importorskip("resource", reason="files are limited as on Unix")
+    command = [sys.executable, "-c", LIMITED, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "told\n"), done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["fits.nc"]
