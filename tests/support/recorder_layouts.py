@@ -466,6 +466,13 @@ def summer_time(local: bool) -> Layout:
     )
 
 
+def quoted_rows(separator: str, decimal: str) -> Layout:
+    """A spreadsheet's export in which each row is quoted as a whole."""
+    rows = [separator.join(("time_s", "flow", "gas (V)"))]
+    rows += [separator.join(map(str, row)).replace(".", decimal) for row in samples(T, OTHER, Y)]
+    return Layout(lines(*(f'"{row}"' for row in rows)), keys={"signal": '"gas (V)"'})
+
+
 LAYOUTS = {
     "Tektronix TDS": tek_tds(),
     "Tektronix DPO": tek_dpo(),
@@ -497,6 +504,8 @@ LAYOUTS = {
     "Sensirion": sensirion(),
     "PicoLog": picolog(),
     "LVM, one X": lvm_one(),
+    "rows quoted, tabs": quoted_rows("\t", "."),
+    "rows quoted, semicolons": quoted_rows(";", ","),
     "LVM, no X": lvm_no(),
     "LVM, an X each": lvm_multi(),
     "serial monitor": serial_monitor(),
