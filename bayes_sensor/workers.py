@@ -18,7 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -61,7 +61,10 @@ class WorkerDied(BrokenExecutor):
 
 @contextmanager
 def dask_client(scheduler: str) -> Iterator[Any]:
-    """A client of the Dask scheduler at ``tcp://host:port``; CampaignError where none answers."""
+    """A client of the Dask scheduler at ``tcp://host:port``.
+
+    CampaignError where none answers, and in the block where it goes away.
+    """
     from importlib import import_module
 
     try:
@@ -78,8 +81,18 @@ def dask_client(scheduler: str) -> Iterator[Any]:
             f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
             f"({error}); check the address, tcp://host:port"
         ) from None
+    # what it would say of a lost connection is said below, in one line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with connected:
-        yield connected
+        try:
+            yield connected
+        except (CancelledError, OSError) as error:
+            if connected.status == "running":
+                raise
+            raise CampaignError(
+                f"--scheduler {scheduler}: the Dask scheduler went away; what is done is kept: go "
+                "on with --resume, with another scheduler or with --jobs"
+            ) from error
 
 
 def completed(
@@ -358,7 +371,8 @@ def _on_workers(
                 future.release()
                 yield result
     finally:
-        client.cancel(list(waiting))
+        if client.status == "running":
+            client.cancel(list(waiting))
 
 
 def _workers(client: Any) -> set[str]:

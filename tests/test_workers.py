@@ -1,6 +1,7 @@
 """Many calls on many processes: in order, retried where a process dies, given up at last."""
 
 import gc
+import json
 import logging
 import os
 import signal
@@ -182,3 +183,31 @@ def test_a_scheduler_that_does_not_answer_is_one_message() -> None:
         dask_client("nonsense"),
     ):
         pass
+
+
+def _long(i: int) -> int:
+    time.sleep(60.0)
+    return i
+
+
+@pytest.mark.slow  # a client tries for ten seconds to come back
+@pytest.mark.filterwarnings("ignore")  # distributed warns about its own shutdown
+def test_a_scheduler_that_goes_away_is_one_message(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"]
+    command += ["--port", "0", "--scheduler-file", str(file)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            deadline = time.monotonic() + 60.0
+            while not (file.exists() and file.read_text().strip()) and time.monotonic() < deadline:
+                time.sleep(0.05)
+            address = json.loads(file.read_text())["address"]
+            threading.Timer(3.0, process.kill).start()
+            with (
+                pytest.raises(CampaignError, match=r"the Dask scheduler went away; .*--resume"),
+                dask_client(address) as client,
+            ):
+                list(completed(_long, range(2), client=client))
+        finally:
+            process.kill()
