@@ -319,6 +319,13 @@ def test_the_likelihood_of_irregular_times_is_that_of_a_dense_gaussian() -> None
     assert fast.log_likelihood(vector) == -np.inf
 
 
+def test_a_likelihood_of_irregular_times_visits_its_samples() -> None:
+    uneven = Campaign("x", irregular().experiments[:1])
+    theta = THETA | {"experiments": {"1": THETA["experiments"]["1"]}}
+    problem = as_problem(simulate(uneven, theta, seed=2))
+    assert compress(problem, theta).n_points >= uneven.experiments[0].used.sum()
+
+
 def test_simulated_noise_of_irregular_times_decays_with_time() -> None:
     white = irregular()
     r = np.concatenate([simulate(white, THETA, seed=i)["1"].values[None] for i in range(1500)])

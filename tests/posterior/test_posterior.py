@@ -24,7 +24,7 @@ from bayes_sensor.posterior.checkpoints import Checkpoint
 from bayes_sensor.posterior.laplace import approximate, log_posteriors
 from bayes_sensor.posterior.quantiles import reaches_end
 from bayes_sensor.posterior.sample import start_vector
-from bayes_sensor.posterior.samplers.emcee_ensembles import MOST_NODES, hopeless, most_steps
+from bayes_sensor.posterior.samplers.emcee_ensembles import MOST_POINTS, hopeless, most_steps
 from bayes_sensor.posterior.samplers.hmc import Whitened
 from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.rig.cascade import (
@@ -810,12 +810,12 @@ def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:
 def test_a_run_ends_in_bounded_time_on_records_of_any_size() -> None:
     settings = Settings(max_steps=3000, burn_in=100, chunk=100)
     assert most_steps(settings, 256 * 6000) == 3000  # the published size
-    assert most_steps(settings, MOST_NODES // 1000) == 1000
-    assert most_steps(settings, MOST_NODES) == 300  # what a judgement of convergence needs
+    assert most_steps(settings, MOST_POINTS // 1000) == 1000
+    assert most_steps(settings, MOST_POINTS) == 300  # what a judgement of convergence needs
 
 
 def test_a_run_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(emcee_ensembles, "MOST_NODES", 1)
+    monkeypatch.setattr(emcee_ensembles, "MOST_POINTS", 1)
     problem, theta = small_problem(n=1, interval=0.05)
     settings = Settings(n_chains=2, burn_in=10, chunk=10, max_steps=400)
     found = sample_posterior(problem, theta, sampler="emcee", settings=settings)

@@ -88,6 +88,11 @@ class Compressed:
         return len(self.arrays.base) * K
 
     @property
+    def n_points(self) -> int:
+        """What one likelihood visits: nodes, and the first and last samples of all even runs."""
+        return self.n_nodes + self.arrays.edge_t.size
+
+    @property
     def has_compiled_gradient(self) -> bool:
         """Whether a gradient costs little more than a value; else it costs tens of them."""
         return self._cascade and self.arrays.is_pulse

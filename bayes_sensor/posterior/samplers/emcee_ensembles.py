@@ -25,8 +25,8 @@ from bayes_sensor.workers import in_order
 
 SETTLING = 10
 """ensemble steps between checks of the mesh during burn-in"""
-MOST_NODES = 10**11
-"""of the mesh that a run may visit in all: some ten minutes of a processor"""
+MOST_POINTS = 10**11
+"""of meshes that the likelihoods of a run may visit in all: some ten minutes of a processor"""
 
 
 class Marginal:
@@ -135,7 +135,7 @@ def run_emcee(given: Target) -> Run:
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     begin = given.begin
     identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness, begin)
-    most = most_steps(settings, settings.n_chains * n_walkers * given.compressed.n_nodes)
+    most = most_steps(settings, settings.n_chains * n_walkers * given.compressed.n_points)
     cut_short = most < settings.max_steps
     settings = replace(settings, max_steps=most)
     store = Checkpoint(given.checkpoint, identity, given.resume)
@@ -210,8 +210,8 @@ def run_emcee(given: Target) -> Run:
             )
             if cut_short and not done:
                 reason += (
-                    f"; more steps would take too long, since a likelihood of these records visits "
-                    f"{target.compressed.n_nodes} nodes"
+                    "; more steps would take too long, since one likelihood of these records "
+                    f"visits {target.compressed.n_points} points"
                 )
             return Run(
                 drawn, True, reason, rate, diagnosis=found, compressed=target.compressed,
@@ -219,13 +219,13 @@ def run_emcee(given: Target) -> Run:
             )  # fmt: skip
 
 
-def most_steps(settings: Settings, nodes_of_a_step: int) -> int:
+def most_steps(settings: Settings, points_of_a_step: int) -> int:
     """How many steps a run may take, so that it ends in bounded time on records of any kind.
 
-    Samples of which no two follow at the same interval are a node each, or several.
+    Samples of which no two follow at the same interval are points each.
     """
     least = settings.burn_in + 2 * settings.chunk
-    return min(settings.max_steps, max(least, MOST_NODES // nodes_of_a_step))
+    return min(settings.max_steps, max(least, MOST_POINTS // points_of_a_step))
 
 
 def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
