@@ -57,12 +57,15 @@ def save(groups: Mapping[str, Any], attributes: Mapping[str, Any], path: Path) -
     By xarray alone, because ArviZ takes two seconds to start.  HDF5 makes it in memory: what cannot
     write to a full disk ends this process, now or when it is cleared away.
     """
-    import xarray
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
 
-    root = xarray.Dataset(attrs=dict(attributes))
     made = io.BytesIO()
-    tree = xarray.DataTree.from_dict({"/": root, **{f"/{k}": group for k, group in groups.items()}})
-    tree.to_netcdf(made, engine=ENGINE)
+    with h5netcdf.File(made, "w") as file:
+        file.attrs.update(attributes)
+        for name, group in groups.items():
+            # by a store of its own: on a Dask worker xarray would ask the cluster for a file's lock
+            group.dump_to_store(H5NetCDFStore(file.create_group(name)))
     write_bytes(path, made.getvalue())
 
 

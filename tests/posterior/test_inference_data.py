@@ -172,3 +172,23 @@ def test_a_file_that_cannot_be_written_ends_no_process(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout) == (0, "told\n"), done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["fits.nc"]
+
+
+def _saved_size(path: str) -> int:
+    import xarray
+
+    idata.save({"posterior": xarray.Dataset({"tau": (("draw",), np.ones(9))})}, {}, Path(path))
+    return Path(path).stat().st_size
+
+
+@pytest.mark.filterwarnings("ignore")  # distributed warns about ports and its own shutdown
+def test_a_dask_worker_writes_it_too(tmp_path: Path) -> None:
+    """There xarray looks for locks at the scheduler, by the file's name."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        assert client.submit(_saved_size, str(tmp_path / "a.nc")).result(60) > 500
