@@ -352,7 +352,7 @@ def _on_workers(
         while waiting:
             done = _some_done(waiting)
             now = _workers(client)
-            for address in sorted(workers - now):
+            for address in sorted(workers - now) if client.status == "running" else ():
                 _report(len(waiting), f"the Dask worker {address}")
             workers = now
             if workers or done:
