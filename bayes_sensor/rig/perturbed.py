@@ -62,7 +62,7 @@ from bayes_sensor.rig.imperfections import (
     TAU_V,
     TF,
     VALVE_FACTOR,
-)  # fmt: skip
+)
 from bayes_sensor.rig.lag_cells import (
     GROWTH,
     Cells,

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.compiled import compiled
-from bayes_sensor.rig.imperfections import (
-    BEND as STROKE_BEND,
-)
+from bayes_sensor.rig.imperfections import BEND as STROKE_BEND
 from bayes_sensor.rig.imperfections import (
     CARRY,
     CARRY_SPREAD,
@@ -57,7 +55,7 @@ from bayes_sensor.rig.imperfections import (
     TANK,
     TAU,
     VALVE_FACTOR,
-)  # fmt: skip
+)
 from bayes_sensor.rig.lag_cells import (
     GROWTH,
     Cells,
@@ -69,9 +67,7 @@ from bayes_sensor.rig.lag_cells import (
     passed,
     with_pocket,
 )
-from bayes_sensor.rig.perturbed import (
-    CELLS_PER_TIME_CONSTANT,
-)
+from bayes_sensor.rig.perturbed import CELLS_PER_TIME_CONSTANT
 from bayes_sensor.rig.sensor_and_readout import (
     cells_of,
     factor_of,

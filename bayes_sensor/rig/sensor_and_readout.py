@@ -34,7 +34,7 @@ from bayes_sensor.rig.imperfections import (
     TAU,
     TF,
     Y0,
-)  # fmt: skip
+)
 from bayes_sensor.rig.lag_cells import (
     Cells,
     advance,

@@ -30,7 +30,7 @@ from bayes_sensor.rig.imperfections import (
     TAU_V,
     TF,
     Y0,
-)  # fmt: skip
+)
 from bayes_sensor.rig.perturbed import (
     rig_mean,
     rig_means,

@@ -53,7 +53,7 @@ from bayes_sensor.io.readers.table_cells import (
     split_cells,
 )
 from bayes_sensor.io.readers.table_layout import TableLayout, find_layout
-from bayes_sensor.io.readers.text_encoding import as_utf8, decoded
+from bayes_sensor.io.readers.text_encoding import as_utf8, decoded, without_quotes_of_rows
 
 SAMPLED = 400
 """rows from which the kind of each column is told"""
@@ -64,7 +64,6 @@ FIRST_DAY, LAST_DAY, DAY_S = 2e4, 8e4, 86400.0
 DAYS_TO_1970 = 25569
 MOST_EMPTY = 0.1
 """share of the rows without a signal above which they belong to other channels"""
-_QUOTED_ROW = re.compile(rb'^"([^"\r\n]*[\t;][^"\r\n]*)"', re.MULTILINE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 
 
@@ -76,7 +75,7 @@ def read_table(file: DataFile, selection: Selection) -> Recording:
     CampaignError
         If the text is no table of numbers; the message names row and column.
     """
-    text = _without_quotes_of_rows(as_utf8(file))
+    text = without_quotes_of_rows(as_utf8(file))
     if is_serial_log(text):  # the line of names is ours, and no row of the file
         return read_text(file, plain_table(text), selection, -1)
     return read_text(file, text, selection)
@@ -127,17 +126,6 @@ def read_text(file: DataFile, text: bytes, selection: Selection, shift: int = 0)
         channels=channel_names([column.name for column in layout.columns], roles.channels),
         times=several_times([column.name for column in layout.columns], roles.times),
     )
-
-
-def _without_quotes_of_rows(text: bytes) -> bytes:
-    """The text without a quotation mark before and behind every row, as some exports write it.
-
-    A row that is quoted as a whole holds separators; a comma may be that of a decimal number.
-    """
-    first = [line for line in text[:8192].splitlines()[:-1] if line.strip()][:5]
-    if len(first) < 2 or not all(_QUOTED_ROW.fullmatch(line) for line in first):
-        return text
-    return _QUOTED_ROW.sub(rb"\1", text)
 
 
 def _without_footer(text: bytes) -> bytes:

@@ -9,6 +9,8 @@ from bayes_sensor.io.readers.recording import (
     DataFile,
 )
 
+_QUOTED_ROW = re.compile(rb'^"([^"\r\n]*[\t;][^"\r\n]*)"', re.MULTILINE)
+
 
 def as_utf8(file: DataFile) -> bytes:
     """The content as UTF-8 without byte order mark."""
@@ -58,3 +60,14 @@ def decoded(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def without_quotes_of_rows(text: bytes) -> bytes:
+    """The text without a quotation mark before and behind every row, as some exports write it.
+
+    A row that is quoted as a whole holds separators; a comma may be that of a decimal number.
+    """
+    first = [line for line in text[:8192].splitlines()[:-1] if line.strip()][:5]
+    if len(first) < 2 or not all(_QUOTED_ROW.fullmatch(line) for line in first):
+        return text
+    return _QUOTED_ROW.sub(rb"\1", text)
