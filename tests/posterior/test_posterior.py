@@ -812,6 +812,7 @@ def test_a_run_ends_in_bounded_time_on_records_of_any_size() -> None:
     assert most_steps(settings, 256 * 6000) == 3000  # the published size
     assert most_steps(settings, MOST_POINTS // 1000) == 1000
     assert most_steps(settings, MOST_POINTS) == 300  # what a judgement of convergence needs
+    assert most_steps(Settings(max_steps=4000), MOST_POINTS) == 4000  # asked for
 
 
 def test_a_run_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -211,7 +211,8 @@ def run_emcee(given: Target) -> Run:
             if cut_short and not done:
                 reason += (
                     "; more steps would take too long, since one likelihood of these records "
-                    f"visits {target.compressed.n_points} points"
+                    f"visits {target.compressed.n_points} points (max_steps above "
+                    f"{Settings.max_steps} takes them)"
                 )
             return Run(
                 drawn, True, reason, rate, diagnosis=found, compressed=target.compressed,
@@ -222,8 +223,11 @@ def run_emcee(given: Target) -> Run:
 def most_steps(settings: Settings, points_of_a_step: int) -> int:
     """How many steps a run may take, so that it ends in bounded time on records of any kind.
 
-    Samples of which no two follow at the same interval are points each.
+    Samples of which no two follow at the same interval are points each.  Who asks for more steps
+    than the default gets them.
     """
+    if settings.max_steps > Settings.max_steps:
+        return settings.max_steps
     least = settings.burn_in + 2 * settings.chunk
     return min(settings.max_steps, max(least, MOST_POINTS // points_of_a_step))
 
