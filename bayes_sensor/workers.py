@@ -81,9 +81,7 @@ def dask_client(scheduler: str) -> Iterator[Any]:
             f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
             f"({error}); check the address, tcp://host:port"
         ) from None
-    # what it would say of a lost connection is said below, in one line
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    with connected:
+    with connected, _quiet("distributed.client"):  # a lost connection is said here, in one line
         try:
             yield connected
         except (CancelledError, OSError) as error:
@@ -93,6 +91,17 @@ def dask_client(scheduler: str) -> Iterator[Any]:
                 f"--scheduler {scheduler}: the Dask scheduler went away; what is done is kept: go "
                 "on with --resume, with another scheduler or with --jobs"
             ) from error
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    log = logging.getLogger(name)
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def completed(

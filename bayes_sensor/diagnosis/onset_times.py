@@ -14,9 +14,7 @@ from bayes_sensor.diagnosis.excess_shares import added_by
 from bayes_sensor.diagnosis.probabilities import FAINT
 from bayes_sensor.diagnosis.signals.signal import FOUND, Finding
 from bayes_sensor.diagnosis.verdict import Judgement
-from bayes_sensor.rig.imperfections import (
-    TF,
-)
+from bayes_sensor.rig.imperfections import TF
 
 
 def onset_times(

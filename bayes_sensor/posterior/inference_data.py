@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from bayes_sensor.io.untrusted import LARGEST_FILE, UNREADABLE, check_size, read
 EXPECTED = "the draws of a posterior"
 DEEPEST = 4
 """levels of groups in a file of ours, and two more"""
-ENGINE: Final = "h5netcdf"
+ENGINE = "h5netcdf"
 
 
 def import_quietly(name: str) -> Any:

@@ -8,16 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from bayes_sensor.campaign import Experiment, FloatArray
-from bayes_sensor.rig.imperfections import (
-    CONCENTRATION,
-    FIRST,
-    MIDDLE,
-    NEUTRAL,
-    START,
-    T0,
-    TF,
-    Y0,
-)
+from bayes_sensor.rig.imperfections import CONCENTRATION, FIRST, MIDDLE, NEUTRAL, START, T0, TF, Y0
 from bayes_sensor.rig.perturbed_chain import (
     FIRST_VOLUME,
     LAGS,

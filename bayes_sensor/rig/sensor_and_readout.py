@@ -35,11 +35,7 @@ from bayes_sensor.rig.imperfections import (
     TF,
     Y0,
 )
-from bayes_sensor.rig.lag_cells import (
-    Cells,
-    advance,
-    lag_states,
-)
+from bayes_sensor.rig.lag_cells import Cells, advance, lag_states
 
 
 @compiled(inside=True)

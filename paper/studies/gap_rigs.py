@@ -28,14 +28,9 @@ from bayes_sensor.diagnosis.evidence.refit import Refit, base_starts, refit
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.likelihood.noise import scale_squared, simulate_noise
 from bayes_sensor.rig.cascade import cascade_response
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-)
+from bayes_sensor.rig.perturbed import rig_mean
 
 LAWS = ("ar1", "ar1 + 1 s", "heavy tails", "1/f")
 SPREAD = {"tau_s": 0.35, "tau_v_s": 0.2, "V_mL": 0.12, "beta": 0.1, "sigma0": 0.15, "sigma1": 0.2}

@@ -558,11 +558,18 @@ def many_diagnoses(place: Path, n: int) -> dict[str, Any]:
 
 
 def write(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """The table."""
+    """The table; what it held and these rows do not have stays, as of earlier code."""
     table = pd.DataFrame(rows)
     table.insert(4, "share", [f"{s}/{t}" for s, t in zip(table["survived"], table["trials"])])
     TABLES.mkdir(parents=True, exist_ok=True)
-    table.to_csv(TABLES / "faults.csv", index=False, lineterminator="\n")
+    table["code"] = "now"
+    file, same = TABLES / "faults.csv", ["fault", "command"]
+    if file.exists():
+        before = pd.read_csv(file, keep_default_na=False).assign(code="earlier")
+        table = pd.concat([table, before]).drop_duplicates(same)
+    first = {fault: i for i, fault in enumerate(dict.fromkeys(table["fault"]))}
+    table = table.sort_values("fault", key=lambda fault: fault.map(first), kind="stable")
+    table.to_csv(file, index=False, lineterminator="\n")
     return table
 
 

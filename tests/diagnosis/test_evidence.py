@@ -25,10 +25,7 @@ from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
 from bayes_sensor.diagnosis.evidence.varying_parameter import embedded_rivals
 from bayes_sensor.diagnosis.probabilities import Probabilities
 from bayes_sensor.diagnosis.verdict import judge
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX
 from bayes_sensor.rig.layout import Layout
 from tests.support.planted_effects import measured, theta
 

@@ -23,14 +23,9 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.report.gap_words import gap_sentence
 from bayes_sensor.rig.cascade import response
 from bayes_sensor.rig.experiment_kernel import ExperimentKernel
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-)
+from bayes_sensor.rig.perturbed import rig_mean
 from bayes_sensor.rig.perturbed_chain import LAGS
 from tests.support.other_rigs import CASES, Case, T, experiment
 from tests.support.planted_effects import design, theta

@@ -26,11 +26,7 @@ from bayes_sensor.diagnosis.wording import effect_sentence, second_words, with_a
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.report.sections.gap_section import envelope_sentences, shrink_sentences
 from bayes_sensor.report.sections.gap_tables import budget_table, hidden_table, which_table
-from bayes_sensor.rig.imperfections import (
-    TAU,
-    TAU_M,
-    TAU_V,
-)
+from bayes_sensor.rig.imperfections import TAU, TAU_M, TAU_V
 from bayes_sensor.rig.lags import Naming, assignments
 from bayes_sensor.rig.layout import Layout
 from tests.support.planted_effects import design, theta

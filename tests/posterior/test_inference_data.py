@@ -150,8 +150,6 @@ def test_pareto_k_is_that_of_arviz(k: float) -> None:
 
 LIMITED = """
 import resource, sys
-import subprocess
-import sys
 from pathlib import Path
 import numpy, xarray
 from bayes_sensor.posterior.inference_data import save

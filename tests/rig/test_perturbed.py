@@ -11,14 +11,8 @@ from bayes_sensor.diagnosis.effects.rig_view import check_settings, coating_mode
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import cascade_response
 from bayes_sensor.rig.exponential import HIGHEST, LOWEST, exponentials
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-    settings_vector,
-)
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX, settings_vector
+from bayes_sensor.rig.perturbed import rig_mean
 from tests.support.campaigns import paper_design, paper_theta
 
 T = np.linspace(0.0, 60.0, 1201)

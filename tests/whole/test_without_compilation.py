@@ -136,14 +136,8 @@ say(values)
 from bayes_sensor.diagnosis import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.diagnosis.effects.rig_view import coating_modes
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-    settings_vector,
-)
-from bayes_sensor.rig.perturbed import (
-    rig_means,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX, settings_vector
+from bayes_sensor.rig.perturbed import rig_means
 times = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, 24))
 first = [0.05, 0.8, 0.6, 0.1, 1.5, 2.0, 9.0, 0.3, 0.0, 10.0]
 neutral = np.concatenate([first, settings_vector({})])

@@ -23,19 +23,10 @@ from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import local_parameters
 from bayes_sensor.rig.experiment_kernel import NEVER, ExperimentKernel
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    INDEX,
-    NEUTRAL,
-    T0,
-    TF,
-)
+from bayes_sensor.rig.imperfections import FIRST, INDEX, NEUTRAL, T0, TF
 from bayes_sensor.rig.lags import Assignment, Commuting
 from bayes_sensor.rig.layout import Layout
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-    rig_response,
-)
+from bayes_sensor.rig.perturbed import rig_mean, rig_response
 from bayes_sensor.rig.switching import input_range
 
 SUFFIX = {"1": "", "s": "_s", "V": "_V", "V/s": "_V_per_s", "1/V": "_per_V", "1/s": "_per_s"}

@@ -10,17 +10,8 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.rig.experiment_kernel import ExperimentKernel
-from bayes_sensor.rig.imperfections import (
-    BETA,
-    FIRST,
-    INDEX,
-    SETTINGS,
-    Y0,
-)
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-    rig_response,
-)
+from bayes_sensor.rig.imperfections import BETA, FIRST, INDEX, SETTINGS, Y0
+from bayes_sensor.rig.perturbed import rig_mean, rig_response
 
 
 def check_settings(effect: str, settings: Mapping[str, float]) -> None:

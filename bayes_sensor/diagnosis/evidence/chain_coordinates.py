@@ -20,11 +20,7 @@ from bayes_sensor.diagnosis.effects.effect import Form
 from bayes_sensor.diagnosis.effects.rig_view import RigView, coating_modes
 from bayes_sensor.diagnosis.effects.setting import Setting
 from bayes_sensor.diagnosis.evidence.refit_coordinates import Coordinates
-from bayes_sensor.rig.imperfections import (
-    FIRST,
-    NEUTRAL,
-    READOUT_SETTINGS,
-)
+from bayes_sensor.rig.imperfections import FIRST, NEUTRAL, READOUT_SETTINGS
 from bayes_sensor.rig.perturbed_chain import LAGS, chain_bin_means
 
 LONGEST_LOG = 40.0

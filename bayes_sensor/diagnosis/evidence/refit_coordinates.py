@@ -31,10 +31,7 @@ from bayes_sensor.rig.imperfections import (
     TF,
     Y0,
 )
-from bayes_sensor.rig.perturbed import (
-    rig_mean,
-    rig_means,
-)
+from bayes_sensor.rig.perturbed import rig_mean, rig_means
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,9 +135,8 @@ def run_emcee(given: Target) -> Run:
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     begin = given.begin
     identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness, begin)
-    most = most_steps(settings, settings.n_chains * n_walkers * given.compressed.n_points)
-    cut_short = most < settings.max_steps
-    settings = replace(settings, max_steps=most)
+    visited = settings.n_chains * n_walkers * given.compressed.n_points
+    settings = replace(settings, max_steps=most_steps(settings, visited))
     store = Checkpoint(given.checkpoint, identity, given.resume)
     begins = []
     for j in range(settings.n_chains):
@@ -208,7 +207,7 @@ def run_emcee(given: Target) -> Run:
                 f"{steps} steps ({burn_in} dropped), {how}; acceptance {rate:.2f}; "
                 "convergence judged between ensembles"
             )
-            if cut_short and not done:
+            if not done and settings.max_steps < given.settings.max_steps:
                 reason += (
                     "; more steps would take too long, since one likelihood of these records "
                     f"visits {target.compressed.n_points} points (max_steps above "
