@@ -41,12 +41,15 @@ def run_posterior(job: Job) -> None:
 
         if not any(METHODS[name].needs_posterior for name in methods):
             return
-    problem, sampler = job.problem, job.overrides.posterior.sampler
+    problem, asked = job.problem, job.overrides.posterior
     with job.timed("posterior") as tell, job.muted():
         if job.options.get("with_effects"):
             problem, job.fit = _with_effects_asked(job, tell)
-            if "sampler" not in job.overrides.posterior.model_fields_set:
-                sampler = FASTEST  # a value of such a model costs forty times one of the chain's
+        # bounds needs an interval to set beside the others, which the fastest sampler gives where
+        # it can be trusted; a value of a model with effects costs forty times one of the chain's
+        hurry = job.command == "bounds" or problem is not job.problem
+        chosen = "sampler" in asked.model_fields_set or not hurry
+        sampler = asked.sampler if chosen else FASTEST
         job.posterior = sample_posterior(
             problem,
             job.fit,

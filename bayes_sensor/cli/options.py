@@ -31,7 +31,12 @@ Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with what an interrupted run left in DIR.")
 ]
 Sampler = Annotated[
-    str | None, typer.Option(help="emcee (default), independence or hmc.", show_default=False)
+    str | None,
+    typer.Option(
+        help="emcee, independence or hmc.  [default: emcee; of bounds independence, or another "
+        "where that cannot be trusted]",
+        show_default=False,
+    ),
 ]
 
 

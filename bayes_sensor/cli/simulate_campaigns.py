@@ -46,8 +46,8 @@ def published_design() -> tuple[Campaign, dict[str, Any]]:
 def default_truth(design: Campaign) -> dict[str, Any]:
     """Parameters for a design that comes with none: the published rig's, delays on its lines.
 
-    On another rig the sensor's lag is a fiftieth of the shortest record and every other lag a
-    third of that.
+    On another rig the sensor's lag is a fiftieth of the shortest record, or of twice the shortest
+    stretch between two switches, and every other lag a third of that.
     """
     layout = Layout.of(design)
     if not layout.is_published:
@@ -71,7 +71,10 @@ def default_truth(design: Campaign) -> dict[str, Any]:
 
 def _other_truth(design: Campaign, layout: Layout) -> dict[str, Any]:
     """Parameters for a design of another rig or programme."""
-    shortest = min(len(e.t) * e.interval for e in design)
+    lengths = [len(e.t) * e.interval for e in design]
+    programmes = [e.commands.times for e in design if e.commands and not e.commands.recorded]
+    lengths += [2.0 * float(np.diff(times).min()) for times in programmes if len(times) > 1]
+    shortest = min(lengths)
     flow = float(np.median([e.total_flow for e in design]))
     theta: dict[str, Any] = {}
     for i, name in enumerate(layout.shared_names):

@@ -83,6 +83,8 @@ def first_look(e: Experiment) -> Look:
         if not done.recorded and len(done.times) > 1:
             off = min(max(step_end(e), on), last)
         look = replace(_first_step(e, on, off, first, last), ranges=tuple(switch_ranges(e)))
+        if look.rise is None and len(done.times):  # lags may be as long as the whole programme
+            look = replace(look, off=max(look.off, min(float(done.times.max()), last)))
         if done.recorded:
             return replace(look, rise=None, switches=((first, last),))
         later = max(look.start_by - on, 2.0 * e.interval)

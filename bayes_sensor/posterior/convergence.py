@@ -33,3 +33,13 @@ def enough(
     r_hat, bulk, tail = (values[free] for values in found)
     done = np.all(r_hat < R_HAT_LIMIT) and np.all(bulk >= target) and np.all(tail >= ESS_LIMIT)
     return bool(done), found
+
+
+def out_of_reach(
+    found: tuple[FloatArray, FloatArray, FloatArray], share: float, target: float
+) -> bool:
+    """Whether all draws allowed, of which this ``share`` is drawn, would leave less than half of
+    the effective draws that are asked for; ``found`` as of :func:`enough`."""
+    _, bulk, tail = found
+    few = np.nanmin(bulk) < 0.5 * target * share or np.nanmin(tail) < 0.5 * ESS_LIMIT * share
+    return bool(few)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import bayes_sensor
+import bayes_sensor.posterior as posterior
 from bayes_sensor.analysis.job import Job
 from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.posterior_step import saved_spreads, watching
@@ -378,6 +379,25 @@ def test_bounds_without_the_posterior(campaign: Path, tmp_path: Path) -> None:
     assert bounds["naive"]["crlb_iid"]["tau_s"] > 0
     header = (out / "bounds.csv").read_text().splitlines()[0]
     assert header.startswith("parameter,method,estimate,sd,lo68,hi68")
+
+
+def test_bounds_take_the_posterior_from_the_fastest_sampler(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    sample = posterior.sample_posterior
+
+    def noted(*args: Any, sampler: str, **options: Any) -> Any:
+        asked.append(sampler)
+        return sample(*args, sampler="independence", **options)
+
+    monkeypatch.setattr(posterior, "sample_posterior", noted)
+    config = tmp_path / "over.toml"
+    config.write_text("[bounds]\nmethods = ['posterior']\nstep_study = false\n")
+    options = ("--config", config, "--quiet")
+    assert run("bounds", campaign, "--out", tmp_path / "out", *options) == 0
+    assert run("bounds", campaign, "--out", tmp_path / "2", "--sampler", "emcee", *options) == 0
+    assert asked == ["independence", "emcee"]
 
 
 @pytest.mark.slow

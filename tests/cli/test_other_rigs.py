@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import bayes_sensor as bs
 from tests.cli.test_cli import run
 
 DESIGN = """
@@ -58,6 +59,28 @@ def test_a_simulated_rig_is_analysed_and_reported(
     assert delays["start"]["status"] == "No regression: no flow is known."
     page = (out / "report.html").read_text()
     assert "sensor A" in page and "no flow is known" in page
+
+
+def test_lags_longer_than_every_pulse_of_a_train_are_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # a pulse alone hardly shows; what they do together does
+    on, off = ([f"{10 * k + at} s" for k in range(20)] for at in (5, 10))
+    design, truth = tmp_path / "design.toml", tmp_path / "theta.json"
+    design.write_text(
+        '[rig]\nstages = ["valve", "sensor"]\n[[experiment]]\nname = "1"\ndelays = "shared"\n'
+        f"commanded_on = {json.dumps(on)}\ncommanded_off = {json.dumps(off)}\n"
+        'interval = "0.1 s"\nduration = "250 s"\n'
+    )
+    assert run("simulate", "--design", design, "--out", tmp_path / "short", "--quiet") == 0
+    theta = json.loads((tmp_path / "short" / "truth.json").read_text())
+    assert theta["tau_s"] == pytest.approx(0.2)  # of pulses of 5 s
+    truth.write_text(json.dumps({**theta, "tau_s": 30.0, "tau_v_s": 1.0}))
+    options = ("--truth", truth, "--out", tmp_path / "long", "--quiet")
+    assert run("simulate", "--design", design, *options) == 0
+    found = bs.fit_least_squares(bs.read_campaign(tmp_path / "long" / "campaign.toml"), seed=1)
+    assert found.at_bound == []
+    assert found.theta_hat[1] == pytest.approx(30.0, rel=0.1)
 
 
 def test_check_lists_the_commands_of_a_train(

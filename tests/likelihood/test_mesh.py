@@ -11,6 +11,7 @@ from bayes_sensor.likelihood.density import experiment_log_likelihood, mean_and_
 from bayes_sensor.likelihood.density import log_likelihood as full_pass
 from bayes_sensor.likelihood.mesh import Region, compress, default_region, log_likelihood
 from bayes_sensor.likelihood.mesh.blocks import blocks_of_run
+from bayes_sensor.likelihood.mesh.compressed import Compressed
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
@@ -291,6 +292,23 @@ def test_the_gradient_where_time_constants_coincide(gap: float) -> None:
     theta[2] = theta[1] * (1 + gap) * problem.campaign["a"].total_flow  # V/Q of one experiment
     mesh = compress(problem, theta)
     assert_gradients_agree(problem, mesh, [theta])
+
+
+def test_coincidence_in_one_experiment_slows_that_one_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, theta = small_problem(0.6, n=3, interval=1e-2)
+    theta[2] = theta[1] * problem.campaign["a"].total_flow
+    taken: list[int] = []
+    slow = Compressed._general_gradient
+
+    def noted(mesh: Compressed, vector: np.ndarray, k: int, gradient: np.ndarray) -> float:
+        taken.append(k)
+        return slow(mesh, vector, k, gradient)
+
+    monkeypatch.setattr(Compressed, "_general_gradient", noted)
+    compress(problem, theta).value_and_gradient(theta)
+    assert taken == [0]
 
 
 def test_all_three_time_constants_coincide() -> None:

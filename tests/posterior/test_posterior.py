@@ -21,6 +21,7 @@ from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.checkpoints import Checkpoint
+from bayes_sensor.posterior.convergence import out_of_reach
 from bayes_sensor.posterior.laplace import approximate, log_posteriors
 from bayes_sensor.posterior.quantiles import reaches_end
 from bayes_sensor.posterior.sample import start_vector
@@ -261,6 +262,14 @@ def test_the_k_hat_gate_hands_over_to_hmc(monkeypatch) -> None:
     assert posterior.sampler == "hmc" and posterior.converged
     assert "given up, refitted 5 times to its draws: Pareto k-hat" in posterior.reasons[0]
     assert posterior.reasons[1].startswith("Hamiltonian")
+
+
+def test_a_sampler_ends_early_where_its_target_is_out_of_reach() -> None:
+    few, many = np.array([100.0, 600.0]), np.array([600.0, 600.0])
+    r_hat = np.ones(2)
+    assert out_of_reach((r_hat, few, many), 0.25, 1000.0)  # 400 of 1000 at its end
+    assert out_of_reach((r_hat, many, few / 4.0), 0.25, 1000.0)  # 100 of 400 in the tails
+    assert not out_of_reach((r_hat, few, many), 0.1, 1000.0)
 
 
 def test_hmc_that_falls_short_hands_over_to_emcee() -> None:

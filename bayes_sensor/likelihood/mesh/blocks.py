@@ -84,12 +84,15 @@ def blocks_of_run(
     while i < last:
         t = start + i * h
         allowed = longest * h
+        latest = -np.inf
         for w in range(len(windows)):
             if t >= windows[w, 1]:
-                after = _width_after(t - windows[w, 1], decays, amplitude, fineness)
-                allowed = min(allowed, max(narrow, after))
+                latest = max(latest, windows[w, 1])
             elif t >= windows[w, 0]:
                 allowed = min(allowed, narrow)
+        if latest > -np.inf:  # what came earlier has decayed more
+            after = _width_after(t - latest, decays, amplitude, fineness)
+            allowed = min(allowed, max(narrow, after))
         kind = 0
         # a block may reach up to a window, or into it only when narrow; never into a kink
         while True:

@@ -87,7 +87,9 @@ def values(thetas, mesh, room, each, inside):
 
 
 @compiled()
-def value_and_gradient(theta, mesh, room, gradient):
+def value_and_gradient(theta, mesh, room, gradient, done):
+    # gradient (n_theta,): of the value returned, which is the sum over the experiments that are
+    # ``done`` (n_exp,): time constants far enough apart for partial fractions, a phi with a law
     taus, c = np.empty(3), np.empty(3)
     sums, unused, lags = np.empty(8), np.zeros(8), np.empty(3)
     by_on, by_off, G, g_tau = np.empty(6), np.empty(6), np.empty(3), np.empty(3)
@@ -110,8 +112,9 @@ def value_and_gradient(theta, mesh, room, gradient):
         y0, beta = theta[i_y0] - mesh.setting[k, 5], theta[i_beta]
         v0, v1 = variance_levels(sigma0, sigma1, weight, fading)
         separate, acts = node_responses(k, mesh, taus, t0, tf, h, c, room, table, stride)
-        if not separate:
-            return np.nan  # nearly equal time constants: the caller takes the stable route
+        done[k] = separate and abs(phi) < 1.0
+        if not done[k]:
+            continue
         edge_responses(k, mesh, taus, t0, tf, c, separate, xe)
         for run in range(mesh.runs[k], mesh.runs[k + 1]):
             for side in range(2):

@@ -194,14 +194,15 @@ class Compressed:
         vector = self._vector(theta)
         if not self.covers(vector):
             return self._full(vector), self._full_gradient(vector)
-        gradient = np.zeros(len(vector))
+        gradient, value = np.zeros(len(vector)), 0.0
+        done = np.zeros(len(self.problem.campaign), dtype=bool)
         if self.has_compiled_gradient:
-            value = cascade_kernels.value_and_gradient(vector, self.arrays, self._room, gradient)
-            if not np.isnan(value):
-                return value, gradient
-            gradient[:] = 0.0  # time constants so close that its partial fractions cancel
-        experiments = range(len(self.problem.campaign))
-        return sum(self._general_gradient(vector, k, gradient) for k in experiments), gradient
+            value = cascade_kernels.value_and_gradient(
+                vector, self.arrays, self._room, gradient, done
+            )
+        for k in np.flatnonzero(~done):
+            value += self._general_gradient(vector, int(k), gradient)
+        return value, gradient
 
     def gradient(self, theta: Theta) -> FloatArray:
         """Gradient (n_theta,) of the log-likelihood."""

@@ -7,7 +7,7 @@ import numpy as np
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.mesh import Compressed
 from bayes_sensor.likelihood.prior_density import log_priors
-from bayes_sensor.posterior.convergence import enough
+from bayes_sensor.posterior.convergence import enough, out_of_reach
 from bayes_sensor.posterior.laplace import Laplace, prior_gradient
 from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
 from bayes_sensor.posterior.widen_mesh import covered
@@ -169,8 +169,7 @@ def run_hmc(given: Target) -> Run:
         stacked = target.theta(np.stack(chains))
         done, found = enough(given.problem, stacked, settings.target_ess)
         n, most = len(chains[0]), settings.max_draws // 2
-        # what all draws allowed would still leave far below what is asked ends early
-        slow = n >= 4 * block and np.nanmin(found[1]) * most / n < 0.5 * settings.target_ess
+        slow = n >= 4 * block and out_of_reach(found, n / most, settings.target_ess)
         if done or slow or n >= most:
             reason = (
                 "Hamiltonian Monte Carlo with the analytic gradient in whitened coordinates: "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
-from bayes_sensor.posterior.convergence import enough
+from bayes_sensor.posterior.convergence import enough, out_of_reach
 from bayes_sensor.posterior.laplace import Laplace, log_posteriors_and_likelihoods
 from bayes_sensor.posterior.r_hat import pareto_k
 from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
@@ -47,7 +47,7 @@ def _chains(target: Target, proposal: Laplace, refits: int) -> tuple[Run, FloatA
     states: list[Any] = [None] * len(rngs)
     proposed: list[FloatArray] = []
     weights: list[FloatArray] = []
-    accepted = tried = 0
+    accepted = tried = looked = 0
     n = settings.n_draws
     while True:
         for j, rng in enumerate(rngs):
@@ -82,10 +82,15 @@ def _chains(target: Target, proposal: Laplace, refits: int) -> tuple[Run, FloatA
             tried += n
             states[j] = (current, current_w)
             chains[j] = np.concatenate([chains[j], out])
+        drawn = len(chains[0])
+        # a look costs as much as all draws so far: later ones come a quarter further apart
+        if drawn < min(1.25 * looked, settings.max_draws):
+            continue
+        looked = drawn
         every, every_w = np.concatenate(proposed), np.concatenate(weights)
         k_hat = pareto_k(every_w)
         acceptance = accepted / tried
-        target.report(min(0.95, len(chains[0]) / settings.max_draws), "independence Metropolis")
+        target.report(min(0.95, drawn / settings.max_draws), "independence Metropolis")
         stacked = np.stack(chains)[:, :, :n_theta]
         if k_hat >= K_HAT_LIMIT or acceptance < 0.1:
             reason = (
@@ -94,7 +99,9 @@ def _chains(target: Target, proposal: Laplace, refits: int) -> tuple[Run, FloatA
             )
             return Run(stacked, False, reason, acceptance, k_hat), every, every_w
         done, found = enough(problem, stacked, settings.target_ess)
-        if done or len(chains[0]) >= settings.max_draws:
+        share = drawn / settings.max_draws
+        slow = drawn >= 4 * n and out_of_reach(found, share, settings.target_ess)
+        if done or slow or share >= 1.0:
             reason = (
                 f"independence Metropolis from the Laplace approximation{_refitted(refits)}: "
                 f"acceptance {acceptance:.2f}, Pareto k-hat {k_hat:.2f} (trusted below "
