@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 
@@ -21,6 +21,8 @@ DRIFT = 0.2
 step lasts less than three lags)"""
 UNSETTLED = 10.0
 """longest lag looked for where no plateau is reached, in lengths of the step"""
+FARTHER = 10.0
+"""times as far a lag is looked for that has ended at its bound"""
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,6 @@ def first_look(e: Experiment) -> Look:
         if not done.recorded and len(done.times) > 1:
             off = min(max(step_end(e), on), last)
         look = replace(_first_step(e, on, off, first, last), ranges=tuple(switch_ranges(e)))
-        if look.rise is None and len(done.times):  # lags may be as long as the whole programme
-            look = replace(look, off=max(look.off, min(float(done.times.max()), last)))
         if done.recorded:
             return replace(look, rise=None, switches=((first, last),))
         later = max(look.start_by - on, 2.0 * e.interval)
@@ -195,3 +195,24 @@ def initial_bounds(
                 low, high = bounds[longer]
                 bounds[longer] = (max(low, problem.held[name]), max(high, problem.held[name]))
     return bounds
+
+
+def farther_bounds(
+    problem: Problem,
+    theta: FloatArray,
+    bounds: Mapping[str, tuple[float, float]],
+    given: Container[str],
+) -> dict[str, tuple[float, float]] | None:
+    """Search bounds ten times as far for lags and steps, where a lag of ``theta`` (n_mean, ..) ends
+    at the upper end of its own; None where none does.  What is ``given`` stays as it is.
+
+    A record whose step is too short or too noisy for its lag to be read off is not known as such.
+    """
+    layout = problem.layout
+    free = [name for name in layout.shared_names if name not in given and name not in problem.held]
+    if not any(theta[layout.index(name)] > 0.99 * bounds[name][1] for name in free):
+        return None
+    steps = [name for name in bounds if name.startswith("beta_V") and name not in given]
+    farther = {name: (bounds[name][0], FARTHER * bounds[name][1]) for name in free}
+    farther |= {name: (FARTHER * bounds[name][0], FARTHER * bounds[name][1]) for name in steps}
+    return {**bounds, **farther}

@@ -6,7 +6,7 @@ import numpy as np
 
 from bayes_sensor.campaign import Campaign, Experiment
 from bayes_sensor.likelihood.priors import Prior
-from bayes_sensor.likelihood.rise_time import fastest_rise, published_rise_time, usual_rise
+from bayes_sensor.likelihood.rise_time import fastest_rise, longest_watch, published_rise_time
 from bayes_sensor.likelihood.switch_ranges import switch_ranges
 from bayes_sensor.rig.lags import Commuting
 from bayes_sensor.rig.layout import Layout
@@ -15,8 +15,8 @@ from bayes_sensor.rig.layout import Layout
 # (9 L/min) takes from 10 to 90 %; another rig's scale follows in proportion.
 TAU_PRIOR_SCALE = 0.200
 
-MOST_RISES = 10.0
-"""fastest rises up to which a lag of unknown name is looked for"""
+LONGEST = 10.0
+"""times that a record was watched, up to which a lag of unknown name is looked for"""
 
 
 def default_priors(
@@ -37,7 +37,8 @@ def default_priors(
       tau^2, so this choice matters near zero; see the prior table in the report.  If one other lag
       is left, it is log-normal around a third of the fastest rise, sd 1.5 in the logarithm.
     * All other lags that may be exchanged have one law, so that no prior decides which is which:
-      uniform up to ten times the fastest rise.
+      uniform up to ten times the longest time from a first command to the end of its record.
+      What the records do not bound above is said to be so, because that end then decides.
     * Volumes, where flows tell them: log-normal around the volume that flow would fill in a third
       of the rise, sd 1.5.
     * Switch times: uniform from the commanded time (nothing happens before the command) to the next
@@ -57,7 +58,7 @@ def default_priors(
     rise = fastest_rise(campaign)
     scale = TAU_PRIOR_SCALE * rise / published_rise_time()
     scale = float(f"{scale:.0e}")
-    most = MOST_RISES * usual_rise(campaign)
+    most = LONGEST * longest_watch(campaign)
     flow = float(np.median([e.total_flow for e in campaign]))
     measured = [e for e in campaign if e.y is not None]
     scatter = max((max(_scatter(e), e.rounding) for e in measured), default=1e-9)

@@ -62,6 +62,11 @@ def usual_rise(campaign: Campaign) -> float:
     return float(f"{scale:.0e}")
 
 
+def longest_watch(campaign: Campaign) -> float:
+    """s, to one digit: the longest time from the first command to the end of a record."""
+    return float(f"{max(float(e.t[-1]) + e.interval - step_begin(e) for e in campaign):.0e}")
+
+
 def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     """Size of the step (V) and its 10 to 90 % time (s), or None where it cannot be seen."""
     t, y = e.t[e.used], e.values[e.used]

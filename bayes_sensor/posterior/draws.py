@@ -12,7 +12,7 @@ from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
-from bayes_sensor.posterior.quantiles import weighted_quantiles
+from bayes_sensor.posterior.quantiles import reaches_end, weighted_quantiles
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.rig.lags import LAG_NAMES, Naming
 from bayes_sensor.rig.layout import Layout
@@ -194,6 +194,20 @@ class Draws:
                 row["tau_v_s"] = percentiles(valve, weights.T.ravel() / weights.sum())
             found.append(row)
         return found
+
+    @cached_property
+    def no_upper_limit(self) -> dict[str, float]:
+        """The upper end (s, mL) of the prior of each lag and volume whose draws reach it, by flat
+        name: there the prior decides, since the data do not."""
+        ends = {}
+        for i, name in enumerate(self.layout.shared_names):
+            _, high = self.problem.priors[name].support
+            draws = self.draws[:, i]
+            if i in self.free and np.isfinite(high):
+                equal = np.full(len(draws), 1.0 / len(draws))
+                if reaches_end(draws, equal, 0.0, high):
+                    ends[self.names[i]] = float(high)
+        return ends
 
     @cached_property
     def laws(self) -> dict[str, str]:

@@ -46,6 +46,11 @@ class Posterior(Draws):
         if self.agreement is not None and not self.agreement.agrees:
             found.append(self.agreement.sentence(self.sampler))
         found += self._of_names()
+        found += [
+            f"the data give no upper limit of {name}: its interval ends where its prior does, at "
+            f"{end:.3g}"
+            for name, end in self.no_upper_limit.items()
+        ]
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
         return tuple(found)
@@ -178,6 +183,7 @@ class Posterior(Draws):
             "lags_s": [percentiles(lag) for lag in self.lags.T],
             "chain": self.chain,
             "hidden_by_sampling_s": self.hidden_by_sampling,
+            "no_upper_limit": self.no_upper_limit,
             "n_draws": len(self.draws),
             "converged": self.converged,
             "status": self.status,

@@ -112,18 +112,28 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
             f"it: an upper limit only, no lag is longer than {upper_words(most)} {source}"
         )
         return Headline(text, "", True, upper_words(most), hidden=True)
+    ends = posterior.get("no_upper_limit") or {}
     if posterior.get("order") == "undecided":
-        return Headline(f"{_of_lags(posterior)} {source}", "", False, undecided=True)
+        open_end = (
+            f"; of the longest {_open_end(ends['lag_slow_s'])}" if "lag_slow_s" in ends else ""
+        )
+        return Headline(f"{_of_lags(posterior)}{open_end} {source}", "", False, undecided=True)
     rows = [
-        (name.replace("tau_s", "tau"), [row[key] for key in ("q2.5", "q50", "q97.5")])
+        (name, [row[key] for key in ("q2.5", "q50", "q97.5")])
         for name, row in posterior["parameters"].items()
         if name.partition("[")[0] == "tau_s" and row is not None
     ]
     if not rows:
         return None
-    each = "; ".join(f"{name} = {lag_words(*ends)}" for name, ends in rows)
+    each = "; ".join(
+        f"{name.replace('tau_s', 'tau')} is longer than {upper_words(row[0])} (97.5 %), "
+        f"{_open_end(ends[name])}"
+        if name in ends
+        else f"{name.replace('tau_s', 'tau')} = {lag_words(*row)}"
+        for name, row in rows
+    )
     text = f"{each} {source}"
-    if len(rows) > 1:  # several sensors on one gas
+    if len(rows) > 1 or ends.keys() & dict(rows):  # several sensors on one gas, or half a sentence
         return Headline(text, "", False)
     lo, mid, hi = rows[0][1]
     half_normal = next(
@@ -134,6 +144,10 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
     if is_limit and half_normal:
         limit = f"{with_spread(1e3 * half_normal['upper95_s'], 1e3 * (hi - lo))} ms"
     return Headline(text, naive, is_limit, limit, ends_s=(lo, hi))
+
+
+def _open_end(end: float) -> str:
+    return f"the data give no upper limit: its prior ends at {upper_words(end)}"
 
 
 def _with(cause: Cause, found: Headline) -> Headline:

@@ -217,7 +217,7 @@ def state(folder: Path) -> dict[str, str]:
     found = {}
     for file in sorted(p for p in folder.rglob("*") if p.is_file()):
         name = file.relative_to(folder).as_posix()
-        if file.name != "run.json" and not UNFINISHED.search(name):
+        if file.name not in ("run.json", "seconds.json") and not UNFINISHED.search(name):
             found[name] = hashlib.sha256(comparable(file)).hexdigest()
     return found
 

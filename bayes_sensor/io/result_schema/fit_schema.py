@@ -267,6 +267,7 @@ class PosteriorRecord(TypedDict):
     lags_s: Annotated[list[LagPercentiles], Field(min_length=1)]
     chain: NotRequired[dict[Name, ChainTimes]]
     hidden_by_sampling_s: NotRequired[Positive | None]
+    no_upper_limit: NotRequired[dict[Name, Positive]]
     n_draws: Int
     converged: StrictBool
     status: Text

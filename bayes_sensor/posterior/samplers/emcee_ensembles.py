@@ -38,6 +38,7 @@ class Marginal:
         compressed: Compressed,
         marginalise: bool,
         both: float | None = None,
+        roots: bool = False,
     ) -> None:
         self.coordinates, self.compressed = Coordinates(problem), compressed
         self.marginalise, self.both = marginalise, both
@@ -45,22 +46,32 @@ class Marginal:
         drop = set(self.coordinates.linear.ravel()) if marginalise else set()
         self.kept = np.array([i for i in range(n_psi) if i not in drop])
         self.reference = self.coordinates.psi(compressed.reference)
+        self.squared = np.flatnonzero(np.isin(self.kept, self.coordinates.squared))
+        # walkers have tau, the first of the squares, itself where ``roots`` says so
+        self.rooted = self.squared[:1] if roots else self.squared[:0]
 
     def thetas(self, points: FloatArray) -> FloatArray:
         psi = np.tile(self.reference, (len(points), 1))
         psi[:, self.kept] = points
+        psi[:, self.kept[self.rooted]] **= 2
         return self.coordinates.theta(psi)
 
     def points(self, thetas: FloatArray) -> FloatArray:
-        return self.coordinates.psi(thetas)[:, self.kept]
+        return self.of_psi(self.coordinates.psi(thetas))
+
+    def of_psi(self, psi: FloatArray) -> FloatArray:
+        """Walkers (.., n_dim) at ``psi`` (.., n_psi)."""
+        points: FloatArray = psi[..., self.kept]
+        points[..., self.rooted] = np.sqrt(np.maximum(points[..., self.rooted], 0.0))
+        return points
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        squared = np.flatnonzero(np.isin(self.kept, self.coordinates.squared))
-        total = np.where((points[:, squared] > 0).all(axis=1), 0.0, -np.inf)
+        total = np.where((points[:, self.squared] > 0).all(axis=1), 0.0, -np.inf)
         good = np.flatnonzero(np.isfinite(total))
         thetas = self.thetas(points[good])
         values = log_priors(self.coordinates.problem, thetas)
         values = values + self.coordinates.log_jacobian(thetas)
+        values = values + np.log(2.0 * points[good][:, self.rooted]).sum(axis=1)
         inside = np.isfinite(values)
         if inside.any():
             if self.marginalise:
@@ -130,7 +141,9 @@ def run_emcee(given: Target) -> Run:
     flat = problem.is_affine and all(
         problem.priors[name].kind == "flat" for name in names if name[:4] in ("y0_V", "beta")
     )
-    target = Marginal(problem, given.compressed, marginalise=flat, both=given.both)
+    target = Marginal(
+        problem, given.compressed, marginalise=flat, both=given.both, roots=bends(given.laplace)
+    )
     n_dim = len(target.kept)
     n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
     begin = given.begin
@@ -219,6 +232,21 @@ def run_emcee(given: Target) -> Run:
             )  # fmt: skip
 
 
+def bends(laplace: Laplace) -> bool:
+    """Whether the valley along tau bends in (tau^2, t0 + tau) by more than its own width.
+
+    A lag longer than its step leaves t0 known and t0 + tau not, so that in psi the valley is a
+    root, on which walkers creep; it is straight in (tau, t0 + tau).  At one standard deviation of
+    tau^2 the root of slope c departs from its chord by c / (4 tau^2), c their covariance.
+    """
+    switches = laplace.coordinates.switches
+    if not len(switches):
+        return False
+    width = 1.0 / np.sqrt(np.diag(np.linalg.inv(laplace.cov))[switches])
+    squares = max(float(laplace.mean[0]), float(np.sqrt(laplace.cov[0, 0])))
+    return bool((np.abs(laplace.cov[switches, 0]) > 4.0 * squares * width).any())
+
+
 def most_steps(settings: Settings, points_of_a_step: int) -> int:
     """How many steps a run may take, so that it ends in bounded time on records of any kind.
 
@@ -285,7 +313,7 @@ def _start(
     shrink = 1.0
     for _ in range(60):
         drawn = target.points(laplace.draw(2 * n, rng)[0])
-        points = centre + shrink * (drawn - (laplace.mean[target.kept] if shrink < 1 else centre))
+        points = centre + shrink * (drawn - (target.of_psi(laplace.mean) if shrink < 1 else centre))
         found = np.concatenate([found, points[np.isfinite(target(points))]])
         if len(found) >= n:
             return found[:n]

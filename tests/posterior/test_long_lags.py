@@ -1,0 +1,111 @@
+"""Lags much longer than the step that shows them: found, with intervals as long as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayes_sensor as bs
+from bayes_sensor.likelihood.mesh import compress
+from bayes_sensor.likelihood.prior_density import log_priors
+from bayes_sensor.posterior.laplace import approximate
+from bayes_sensor.posterior.samplers.emcee_ensembles import bends
+from bayes_sensor.report import headline
+from tests.support.campaigns import small_problem
+
+DESIGN = """
+title = "a pulse of one second"
+[rig]
+stages = ["sensor"]
+[[experiment]]
+name = "1"
+commanded_on = "1 s"
+commanded_off = "2 s"
+interval = "20 ms"
+duration = "6 s"
+"""
+STEP = {"1": {"y0_V": 0.2, "beta_V": 2.0, "t0_s": 1.2, "tf_s": 2.2}}
+
+
+def simulated(folder: Path, tau: float, noise: float, seed: int) -> bs.Campaign:
+    path = folder / "design.toml"
+    path.write_text(DESIGN)
+    sizes = {"phi": 0.4, "sigma0_V": noise, "sigma1_V": noise}
+    return bs.simulate(bs.read_campaign(path), {"tau_s": tau, **sizes, "experiments": STEP}, seed)
+
+
+@pytest.mark.parametrize("seed", range(3, 6))
+@pytest.mark.parametrize("tau", [4.0, 8.0])
+def test_least_squares_look_as_far_as_the_lag_is(tau: float, seed: int, tmp_path: Path) -> None:
+    # noise hides that the signal still moves when the pulse ends, and with it how far to look
+    campaign = simulated(tmp_path, tau, 0.05, seed)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    assert "tau_s" not in fit.at_bound
+    assert fit.theta_hat[0] == pytest.approx(tau, rel=0.45)
+    assert fit.rms < 1.05 * 0.05
+
+
+def by_random_walk(campaign: bs.Campaign, theta: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Draws of tau by plain Metropolis steps in theta, many chains at once."""
+    problem = bs.make_problem(campaign)
+    mesh = compress(problem, theta)
+    rng = np.random.default_rng(1)
+    free = np.array([0, 3, 4, 5, 6, 7])  # y0 and beta are integrated out
+
+    def density(thetas: np.ndarray) -> np.ndarray:
+        values = log_priors(problem, thetas)
+        inside = np.isfinite(values)
+        values[inside] += mesh.marginals(thetas[inside])[0]
+        return values
+
+    here = np.tile(theta, (400, 1))
+    here[:, free] += 0.05 * spread[:, free].std(axis=0) * rng.standard_normal((400, len(free)))
+    value, kept = density(here), []
+    root = np.linalg.cholesky(np.cov(spread[:, free].T))
+    for i in range(3000):
+        there = here.copy()
+        there[:, free] += 0.9 * rng.standard_normal((400, len(free))) @ root.T
+        new = density(there)
+        moves = np.log(rng.random(400)) < new - value
+        here[moves], value[moves] = there[moves], new[moves]
+        if i >= 1000:
+            kept.append(here[:, 0].copy())
+    return np.concatenate(kept)
+
+
+@pytest.mark.slow
+def test_walkers_fill_the_valley_of_a_long_lag(tmp_path: Path) -> None:
+    campaign = simulated(tmp_path, 20.0, 0.01, 1)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    posterior = bs.sample_posterior(campaign, fit, seed=1)
+    assert posterior.converged and posterior.no_upper_limit == {}
+    row = posterior.rows["tau_s"]
+    assert row["q2.5"] < 20.0 < row["q97.5"]
+    plain = by_random_walk(campaign, np.median(posterior.draws, axis=0), posterior.draws)
+    expected = np.percentile(plain, [2.5, 50.0, 97.5])
+    assert [row["q2.5"], row["q50"], row["q97.5"]] == pytest.approx(expected, rel=0.04)
+
+
+def test_where_the_valley_bends(tmp_path: Path) -> None:
+    campaign = simulated(tmp_path, 20.0, 0.01, 1)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    assert bends(approximate(bs.make_problem(campaign), fit.theta_hat)[0])
+    problem, theta = small_problem(0.5, n=2, interval=0.02)
+    assert not bends(approximate(problem, theta)[0])
+
+
+@pytest.mark.slow
+def test_an_interval_that_ends_where_its_prior_does_is_none(tmp_path: Path) -> None:
+    # nothing tells this record from a ramp
+    campaign = simulated(tmp_path, 20.0, 0.1, 1)
+    posterior = bs.sample_posterior(campaign, seed=1)
+    assert posterior.no_upper_limit == {"tau_s": 50.0}
+    assert any(text.startswith("the data give no upper limit") for text in posterior.warnings)
+    record: dict[str, Any] = posterior.to_json()
+    found = headline(record, None)
+    assert found is not None and not found.is_limit and found.ends_s is None
+    assert found.text.startswith("tau is longer than ")
+    assert "the data give no upper limit: its prior ends at 50 s" in found.text
