@@ -1,17 +1,18 @@
 """The mesh against the full pass: values, gradients, marginals, information, fall-back."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import bayes_sensor.likelihood.mesh.compressed as compressed
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.density import experiment_log_likelihood, mean_and_variance, simulate
 from bayes_sensor.likelihood.density import log_likelihood as full_pass
 from bayes_sensor.likelihood.mesh import Region, compress, default_region, log_likelihood
 from bayes_sensor.likelihood.mesh.blocks import blocks_of_run
-from bayes_sensor.likelihood.mesh.compressed import Compressed
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.cascade import Cascade
@@ -300,14 +301,15 @@ def test_coincidence_in_one_experiment_slows_that_one_alone(
     problem, theta = small_problem(0.6, n=3, interval=1e-2)
     theta[2] = theta[1] * problem.campaign["a"].total_flow
     taken: list[int] = []
-    slow = Compressed._general_gradient
+    slow = compressed.mean_derivatives
 
-    def noted(mesh: Compressed, vector: np.ndarray, k: int, gradient: np.ndarray) -> float:
+    def noted(problem: Problem, vector: np.ndarray, k: int, times: np.ndarray) -> Any:
         taken.append(k)
-        return slow(mesh, vector, k, gradient)
+        return slow(problem, vector, k, times)
 
-    monkeypatch.setattr(Compressed, "_general_gradient", noted)
-    compress(problem, theta).value_and_gradient(theta)
+    mesh = compress(problem, theta)
+    monkeypatch.setattr(compressed, "mean_derivatives", noted)
+    mesh.value_and_gradient(theta)
     assert taken == [0]
 
 
