@@ -14,6 +14,9 @@ PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
 
 FEWEST_OF_RISE = 16
 """samples of a step from which its rise may be read off"""
+AVERAGES = (600, 200, 60, 20)
+"""how many averages of a step are looked at: the most that noise allows, since they must be short
+against a rise"""
 
 
 def rise_time(t: FloatArray, x: FloatArray) -> float | None:
@@ -41,11 +44,13 @@ def fastest_rise(campaign: Campaign) -> float:
     """s, the shortest 10 to 90 % time among the measured steps.
 
     Each record is averaged in blocks so that noise hides neither end.  Steps smaller than a tenth
-    of the largest, or than twenty times the scatter of these averages, are left out; without any
-    usable step the published rig's time is returned.
+    of the largest, or than twenty times the scatter of these averages, are left out.  Without any
+    usable step it is the length of the longest; for a design the published rig's time.
     """
+    if all(e.y is None for e in campaign):
+        return published_rise_time()
     seen = _fastest_seen(campaign)
-    return published_rise_time() if seen is None else seen
+    return _longest_step(campaign) if seen is None else seen
 
 
 def _fastest_seen(campaign: Campaign) -> float | None:
@@ -58,8 +63,11 @@ def _fastest_seen(campaign: Campaign) -> float | None:
 def usual_rise(campaign: Campaign) -> float:
     """s, to one digit: the fastest rise that is seen, or the longest step where none is."""
     seen = _fastest_seen(campaign)
-    scale = max(step_end(e) - step_begin(e) for e in campaign) if seen is None else seen
-    return float(f"{scale:.0e}")
+    return float(f"{_longest_step(campaign) if seen is None else seen:.0e}")
+
+
+def _longest_step(campaign: Campaign) -> float:
+    return max(step_end(e) - step_begin(e) for e in campaign)
 
 
 def longest_watch(campaign: Campaign) -> float:
@@ -73,16 +81,16 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     first, last = np.searchsorted(t, [step_begin(e), step_end(e)])
     if last - first < FEWEST_OF_RISE:
         return None
-    # averages over a six-hundredth of the stretch: short against any rise that fills a tenth of it
-    n_bin = max(1, (last - first) // 600)
-    n = (last - first) // n_bin * n_bin
-    means = y[first : first + n].reshape(-1, n_bin).mean(axis=1)
-    times = t[first : first + n].reshape(-1, n_bin).mean(axis=1)
-    tenth = max(min(5, len(means) // 4), len(means) // 10)
-    low = float(np.median(means[:3] if first < 20 else y[:first]))
-    high = float(np.median(means[-tenth:]))
-    scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
-    if abs(high - low) < 20.0 * scatter or high == low:
-        return None
-    rise = rise_time(times, (means - low) / (high - low))
-    return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
+    for n_means in AVERAGES:
+        n_bin = max(1, (last - first) // n_means)
+        n = (last - first) // n_bin * n_bin
+        means = y[first : first + n].reshape(-1, n_bin).mean(axis=1)
+        times = t[first : first + n].reshape(-1, n_bin).mean(axis=1)
+        tenth = max(min(5, len(means) // 4), len(means) // 10)
+        low = float(np.median(means[:3] if first < 20 else y[:first]))
+        high = float(np.median(means[-tenth:]))
+        scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
+        if abs(high - low) >= 20.0 * scatter and high != low:
+            rise = rise_time(times, (means - low) / (high - low))
+            return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
+    return None

@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate
 from scipy.stats import multivariate_normal
 
-from bayes_sensor.campaign import CampaignError, Experiment, SideInformation
+from bayes_sensor.campaign import Campaign, CampaignError, Experiment, SideInformation
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
@@ -23,7 +23,7 @@ from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivatives, log_priors
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.likelihood.rise_time import published_rise_time
+from bayes_sensor.likelihood.rise_time import fastest_rise, published_rise_time
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.layout import Layout
 from tests.support.campaigns import dense_covariance, small_design, small_problem, small_theta
@@ -310,6 +310,25 @@ def test_the_scale_of_tau_follows_the_fastest_rise() -> None:
     # a design has no rise to see: the published scale
     design = small_design()
     assert default_priors(design, Layout.of(design))["tau_s"] == Prior("half_normal", 0.2)
+
+
+def test_noise_neither_hides_nor_shortens_the_rise() -> None:
+    quiet, _ = small_problem(n=1, sigma=0.005)
+    seen = fastest_rise(quiet.campaign)
+    (e,) = quiet.campaign
+    rng = np.random.default_rng(1)
+
+    def with_noise(size: float) -> Campaign:
+        y = e.values + size * rng.standard_normal(len(e.t))
+        return replace(quiet.campaign, experiments=(replace(e, y=y),))
+
+    step = float(np.ptp(e.values))
+    for share in (0.03, 0.1):
+        assert fastest_rise(with_noise(share * step)) == pytest.approx(seen, rel=0.5)
+    # where no average shows the step, the time in which it was to be seen
+    assert e.commanded_off is not None and e.commanded_on is not None
+    longest = pytest.approx(e.commanded_off - e.commanded_on)
+    assert fastest_rise(with_noise(100.0 * step)) == longest
 
 
 def test_side_information_replaces_a_prior() -> None:
