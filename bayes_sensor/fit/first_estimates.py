@@ -10,17 +10,13 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.rise_time import DRIFT, UNSETTLED
 from bayes_sensor.likelihood.switch_ranges import step_begin, step_end, switch_ranges
 
 LEAST_TAU = 0.1
 """lower bound of tau in sampling intervals, far below what samples can resolve"""
 LEAST_SHARE = 1e-6
 """lower bound of a model's own parameter, of its prior's median, where the prior begins at zero"""
-DRIFT = 0.2
-"""of the step, between the two halves after its middle; above it the plateau is not reached (the
-step lasts less than three lags)"""
-UNSETTLED = 10.0
-"""longest lag looked for where no plateau is reached, in lengths of the step"""
 FARTHER = 10.0
 """times as far a lag is looked for that has ended at its bound"""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import log, sqrt
 
 import numpy as np
 
@@ -14,6 +14,13 @@ PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
 
 FEWEST_OF_RISE = 16
 """samples of a step from which its rise may be read off"""
+DRIFT = 0.2
+"""of the step, between the two halves after its middle; above it the plateau is not reached (the
+step lasts less than three lags)"""
+UNSETTLED = 10.0
+"""longest lag looked for where no plateau is reached, in lengths of the step"""
+LN_NINE = 2.197
+"""10 to 90 % time of an exponential over its lag"""
 AVERAGES = (600, 200, 60, 20)
 """how many averages of a step are looked at: the most that noise allows, since they must be short
 against a rise"""
@@ -91,6 +98,27 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
         high = float(np.median(means[-tenth:]))
         scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
         if abs(high - low) >= 20.0 * scatter and high != low:
-            rise = rise_time(times, (means - low) / (high - low))
-            return None if rise is None else (abs(high - low), max(rise, n_bin * e.interval))
+            x = (means - low) / (high - low)
+            rise = rise_time(times, x)
+            if rise is None:
+                return None
+            return abs(high - low), max(rise, n_bin * e.interval, _unfinished_rise(times, x, tenth))
     return None
+
+
+def _unfinished_rise(t: FloatArray, x: FloatArray, width: int) -> float:
+    """s, 10 to 90 % time of the exponential that goes on when the step ends; 0 where none does.
+
+    Of an exponential the second half of a stretch moves exp(-half / tau) times as far as the first.
+    ``width``: how many averages of ``x`` (n,), 0 before the step and 1 at its end, serve as middle.
+    """
+    half = np.flatnonzero(x < 0.5)[-1]
+    begin = int(np.flatnonzero(x[: half + 1] < 0.1)[-1])
+    end = len(x) - 1 - width // 2  # the height is that of the last averages' median
+    middle = (begin + end) // 2
+    at_middle = float(np.median(x[max(middle - width // 2, begin) : middle + width // 2 + 1]))
+    left = max(1.0 - at_middle, 0.0) / max(at_middle - 0.1, 1e-3)
+    if left < DRIFT:
+        return 0.0
+    span = float(t[end] - t[begin])
+    return min(LN_NINE * 0.5 * span / max(-log(left), 1e-3), UNSETTLED * span)

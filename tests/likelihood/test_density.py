@@ -331,6 +331,18 @@ def test_noise_neither_hides_nor_shortens_the_rise() -> None:
     assert fastest_rise(with_noise(100.0 * step)) == longest
 
 
+@pytest.mark.parametrize("lag", [2.0, 5.0, 20.0, 30.0])
+def test_a_rise_that_goes_on_when_the_step_ends_is_longer_than_the_step(lag: float) -> None:
+    t = 0.02 * np.arange(1000)
+    y = -np.expm1(-np.maximum(t - 5.2, 0.0) / lag)
+    y = np.where(t < 15.0, y, y * np.exp(-(t - 15.0) / lag))
+    y += 0.002 * np.random.default_rng(1).standard_normal(len(t))
+    campaign = Campaign.from_frames(
+        {"1": (t, y)}, stages=["sensor"], commanded_on="5 s", commanded_off="15 s"
+    )
+    assert fastest_rise(campaign) == pytest.approx(2.197 * lag, rel=0.35)
+
+
 def test_side_information_replaces_a_prior() -> None:
     campaign = replace(small_design(), side_information={"V_mL": SideInformation(14.0, 0.5)})
     assert Problem(campaign).priors["V_mL"] == Prior("normal", 14.0, 0.5)
