@@ -81,7 +81,7 @@ def dask_client(scheduler: str) -> Iterator[Any]:
             f"--scheduler {scheduler}: expected a Dask scheduler there, but none answered "
             f"({error}); check the address, tcp://host:port"
         ) from None
-    with connected, _quiet("distributed.client"):  # a lost connection is said here, in one line
+    with _quiet("distributed.client"), connected:  # a lost connection is said here, in one line
         try:
             yield connected
         except (CancelledError, OSError) as error:
@@ -353,13 +353,16 @@ def _on_workers(
 ) -> Iterator[tuple[int, Any]]:
     from importlib import import_module
 
-    killed: Any = import_module("distributed").KilledWorker
+    distributed: Any = import_module("distributed")
     futures = {client.submit(_call, function, i, items[i], pure=False): i for i in batch}
+    # asked again and again, distributed.wait would leave a waiter behind at every future each time,
+    # gigabytes in an hour
+    ended = distributed.as_completed(list(futures))
     waiting = set(futures)
     workers, seen_at = _workers(client), time.monotonic()
     try:
         while waiting:
-            done = _some_done(waiting)
+            done = _some_done(ended)
             now = _workers(client)
             for address in sorted(workers - now) if client.status == "running" else ():
                 _report(len(waiting), f"the Dask worker {address}")
@@ -375,7 +378,7 @@ def _on_workers(
                 waiting.discard(future)
                 try:
                     result = future.result()
-                except killed as error:
+                except distributed.KilledWorker as error:
                     result = futures[future], _given_up(1 + error.allowed_failures)
                 future.release()
                 yield result
@@ -388,12 +391,10 @@ def _workers(client: Any) -> set[str]:
     return set(client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _some_done(waiting: Iterable[Any]) -> list[Any]:
+def _some_done(ended: Any) -> list[Any]:
     """The futures that have ended, after a wait of at most half a second."""
-    from importlib import import_module
-
-    try:
-        import_module("distributed").wait(list(waiting), timeout=0.5, return_when="FIRST_COMPLETED")
-    except TimeoutError:
-        return []
-    return [future for future in waiting if future.done()]
+    until = time.monotonic() + 0.5
+    while not ended.has_ready() and time.monotonic() < until:
+        time.sleep(0.01)
+    found: list[Any] = ended.next_batch(block=False)
+    return found

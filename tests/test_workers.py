@@ -1,5 +1,6 @@
 """Many calls on many processes: in order, retried where a process dies, given up at last."""
 
+import asyncio
 import gc
 import json
 import logging
@@ -211,3 +212,23 @@ def test_a_scheduler_that_goes_away_is_one_message(tmp_path: Path) -> None:
                 list(completed(_long, range(2), client=client))
         finally:
             process.kill()
+
+
+def wait_a_little(i: int) -> int:
+    time.sleep(0.05)
+    return i
+
+
+@pytest.mark.filterwarnings("ignore")  # distributed warns about ports and its own shutdown
+def test_waiting_for_dask_leaves_nothing_behind() -> None:
+    distributed = pytest.importorskip("distributed")
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    )
+    left = []
+    with local as cluster, distributed.Client(cluster) as client:
+        for n, (i, result) in enumerate(completed(wait_a_little, range(40), client=client), 1):
+            assert i == result
+            left.append(len(asyncio.all_tasks(client.loop.asyncio_loop)) + n)
+    assert len(left) == 40
+    assert left[20] < left[1] + 40  # a waiter for each call, not one each time it was asked about
