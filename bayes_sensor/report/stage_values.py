@@ -88,6 +88,10 @@ def _lines(key: str, row: Mapping[str, Any], saved: Saved) -> Iterator[str]:
     of = key.partition("[")[2].removesuffix("]")
     label = f"{of}: " if of else ""
     label += "V" if is_volume else "τᵥ" if key == "tau_v_s" else "τ"
+    if low is not None and key in ((saved.posterior or {}).get("no_upper_limit") or {}):
+        factor, unit = (1.0, "mL") if is_volume else time_unit(low)
+        yield f"{label} > {with_spread(factor * low, factor * low)} {unit}"
+        return
     if low is not None and high and low < LIMIT * middle:
         factor, unit = (1.0, "mL") if is_volume else time_unit(high)
         yield f"{label} < {with_spread(factor * high, factor * high)} {unit}"

@@ -13,7 +13,8 @@ from bayes_sensor.likelihood.mesh import compress
 from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.posterior.laplace import approximate
 from bayes_sensor.posterior.samplers.emcee_ensembles import bends
-from bayes_sensor.report import headline
+from bayes_sensor.report import Saved, headline
+from bayes_sensor.report.stage_values import stage_values
 from tests.support.campaigns import small_problem
 
 DESIGN = """
@@ -109,3 +110,6 @@ def test_an_interval_that_ends_where_its_prior_does_is_none(tmp_path: Path) -> N
     assert found is not None and not found.is_limit and found.ends_s is None
     assert found.text.startswith("tau is longer than ")
     assert "the data give no upper limit: its prior ends at 50 s" in found.text
+    run = {"commands": {"posterior": {}}, "last": "posterior"}
+    saved = Saved({"experiments": [], "stages": ["sensor"]}, run, posterior=record)
+    assert stage_values(saved)[0].lines[0].startswith("τ > ")
