@@ -68,16 +68,17 @@ def search_far(
         return mean_square(problem, with_noise(problem.layout, found.theta))
 
     found = search_in(box)
-    while (farther := farther_bounds(problem, found.theta, box, given)) is not None:
-        again, before = search_in(farther), squares(found)
+    farther = farther_bounds(problem, found.theta, box, given)
+    while farther is not None:
+        again = search_in(farther)
+        beyond = farther_bounds(problem, again.theta, farther, given)
+        before, now = squares(found), squares(again)
         # by more than one sample's noise, or as good at an end: a lag that the data do not tell
         # from an endless one stays where it is
-        better = squares(again) < before * (1.0 - 1.0 / problem.campaign.n_samples)
-        ends = farther_bounds(problem, again.theta, farther, given) is None
-        if better or (ends and squares(again) <= before):
+        better = now < before * (1.0 - 1.0 / problem.campaign.n_samples)
+        if better or (beyond is None and now <= before):
             found, box = again, farther
-        if not better:
-            break
+        farther = beyond if better else None
     return found, box
 
 

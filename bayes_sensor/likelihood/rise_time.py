@@ -19,7 +19,7 @@ DRIFT = 0.2
 step lasts less than three lags)"""
 UNSETTLED = 10.0
 """longest lag looked for where no plateau is reached, in lengths of the step"""
-LN_NINE = 2.197
+LN_NINE = log(9.0)
 """10 to 90 % time of an exponential over its lag"""
 AVERAGES = (600, 200, 60, 20)
 """how many averages of a step are looked at: the most that noise allows, since they must be short
@@ -56,25 +56,10 @@ def fastest_rise(campaign: Campaign) -> float:
     """
     if all(e.y is None for e in campaign):
         return published_rise_time()
-    seen = _fastest_seen(campaign)
-    return _longest_step(campaign) if seen is None else seen
-
-
-def _fastest_seen(campaign: Campaign) -> float | None:
-    """s, the shortest rise among the steps that can be used; None where there is none."""
     seen = [found for e in campaign if e.y is not None and (found := _measured_rise(e))]
     largest = max((step for step, _ in seen), default=0.0)
-    return min((rise for step, rise in seen if step >= 0.1 * largest), default=None)
-
-
-def usual_rise(campaign: Campaign) -> float:
-    """s, to one digit: the fastest rise that is seen, or the longest step where none is."""
-    seen = _fastest_seen(campaign)
-    return float(f"{_longest_step(campaign) if seen is None else seen:.0e}")
-
-
-def _longest_step(campaign: Campaign) -> float:
-    return max(step_end(e) - step_begin(e) for e in campaign)
+    rises = [rise for step, rise in seen if step >= 0.1 * largest]
+    return min(rises) if rises else max(step_end(e) - step_begin(e) for e in campaign)
 
 
 def longest_watch(campaign: Campaign) -> float:

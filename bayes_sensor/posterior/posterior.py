@@ -14,6 +14,7 @@ from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT
 from bayes_sensor.rig.lags import LAG_NAMES
+from bayes_sensor.rig.layout import unit_of
 from bayes_sensor.rig.response_times import response_times
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Posterior(Draws):
         found += self._of_names()
         found += [
             f"the data give no upper limit of {name}: its interval ends where its prior does, at "
-            f"{end:.3g}"
+            f"{end:.3g} {unit_of(name.partition('[')[0], '')}"
             for name, end in self.no_upper_limit.items()
         ]
         if self.mesh_error > MESH_ERROR_LIMIT:

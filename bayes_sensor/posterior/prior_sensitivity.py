@@ -9,7 +9,7 @@ import numpy as np
 
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.priors import Prior
-from bayes_sensor.likelihood.rise_time import usual_rise
+from bayes_sensor.likelihood.rise_time import fastest_rise
 from bayes_sensor.posterior.quantiles import highest_density, reaches_end, weighted_quantiles
 
 if TYPE_CHECKING:
@@ -49,8 +49,10 @@ def _tau_at(posterior: Draws, place: int, sensor_is: str) -> list[dict[str, Any]
     if current.kind != "half_normal":
         problem = posterior.problem
         usual = default_priors(problem.campaign, problem.layout, problem.commuting)["tau_s"]
-    rise = usual_rise(posterior.problem.campaign)
-    scale = usual.a if usual.kind == "half_normal" else rise  # lags without names
+    if usual.kind == "half_normal":
+        scale = usual.a
+    else:  # lags without names
+        scale = float(f"{fastest_rise(posterior.problem.campaign):.0e}")
     tau = posterior.lags[:, place]
     chosen = [j for j, a in enumerate(posterior.problem.assignments) if a.sensor == place]
     share = posterior.shares[:, chosen].sum(axis=1)

@@ -133,7 +133,7 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         for name, row in rows
     )
     text = f"{each} {source}"
-    if len(rows) > 1 or ends.keys() & dict(rows):  # several sensors on one gas, or half a sentence
+    if len(rows) > 1 or rows[0][0] in ends:  # several sensors on one gas, or no interval
         return Headline(text, "", False)
     lo, mid, hi = rows[0][1]
     half_normal = next(
