@@ -10,8 +10,8 @@ import numpy as np
 
 from bayes_sensor.campaign import CampaignError, Experiment, FloatArray
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.likelihood.rise_time import DRIFT, UNSETTLED
-from bayes_sensor.likelihood.switch_ranges import step_begin, step_end, switch_ranges
+from bayes_sensor.likelihood.rise_time import DRIFT, UNSETTLED, moves_on
+from bayes_sensor.likelihood.switch_ranges import after_step, step_begin, step_end, switch_ranges
 
 LEAST_TAU = 0.1
 """lower bound of tau in sampling intervals, far below what samples can resolve"""
@@ -36,6 +36,7 @@ class Look:
     ranges: tuple[tuple[float, float], ...] = ()  # s, of what moves the switches, where not a pulse
     switches: tuple[tuple[float, float], ...] = ()  # s, each command and the time by which it shows
     has_fall: bool = True
+    late: bool = False  # True where the signal moves on after the step's end
 
     @property
     def stretches(self) -> tuple[tuple[float, float], ...]:
@@ -107,8 +108,12 @@ def _first_step(e: Experiment, on: float, off: float, first: float, last: float)
         t_fall, y_fall = blocks(e, off, last, 1000)
         if len(y_fall) >= 8:
             end_by = float(t_fall[split(y_fall)])
+    begin, end = after_step(e)
+    _, later = blocks(e, begin, end, max(1, int((end - begin) / (t[1] - t[0]))))
+    late = moves_on(after - before, later - before, noise) > 0
     if abs(step) < 4.0 * noise:
-        return Look(on, off, 0.5 * (on + off), 0.5 * (off + last), None, before, step)
+        middles = 0.5 * (on + off), 0.5 * (off + last)
+        return Look(on, off, *middles, None, before, step, late=late)
     half = len(after) // 2
     drift = float(np.median(after[-half:]) - np.median(after[:half])) if half >= 4 else 0.0
     settled = abs(drift) < max(DRIFT * abs(step), 6.0 * noise * sqrt(2.0 / max(half, 1)))
@@ -119,7 +124,7 @@ def _first_step(e: Experiment, on: float, off: float, first: float, last: float)
     finish = t[max(cut - 1, 0) + high[0]] if len(high) else t[-1]
     width = t[1] - t[0]
     rise = max(float(finish - begin), width)
-    return Look(on, off, float(t[cut]), end_by, rise, before, step, settled)
+    return Look(on, off, float(t[cut]), end_by, rise, before, step, settled, late=late)
 
 
 def initial_bounds(
@@ -198,15 +203,17 @@ def farther_bounds(
     theta: FloatArray,
     bounds: Mapping[str, tuple[float, float]],
     given: Container[str],
+    late: bool = False,
 ) -> dict[str, tuple[float, float]] | None:
     """Search bounds ten times as far for lags and steps, where a lag of ``theta`` (n_mean, ..) ends
-    at the upper end of its own; None where none does.  What is ``given`` stays as it is.
+    at the upper end of its own, or a signal is ``late``; else None.  What is ``given`` stays as it
+    is.
 
     A record whose step is too short or too noisy for its lag to be read off is not known as such.
     """
     layout = problem.layout
     free = [name for name in layout.shared_names if name not in given and name not in problem.held]
-    if not any(theta[layout.index(name)] > 0.99 * bounds[name][1] for name in free):
+    if not late and all(theta[layout.index(name)] <= 0.99 * bounds[name][1] for name in free):
         return None
     steps = [name for name in bounds if name.startswith("beta_V") and name not in given]
     farther = {name: (bounds[name][0], FARTHER * bounds[name][1]) for name in free}

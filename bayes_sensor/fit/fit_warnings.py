@@ -16,6 +16,9 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.layout import Layout, unit_of
 from bayes_sensor.rig.switching import is_switch_time
 
+LAGS_TO_SETTLE = 3.0
+"""lags after which a signal has all but settled: exp(-3) is 5 % of the step"""
+
 
 def local_noise(z: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
     """Variance and lag-one coefficient of the fast part of residuals ``z`` (n_t,).
@@ -106,7 +109,12 @@ def warn(
             f"There is one total flow only: {who} enter alike and cannot be told apart by the "
             "data; only the set of lags is determined."
         )
-    moving = [e.name for e, look in zip(campaign, looks) if not look.settled]
+    slowest = [layout.slowest(vector, k, e.total_flow) for k, e in enumerate(campaign)]
+    moving = [
+        e.name
+        for e, look, lag in zip(campaign, looks, slowest)
+        if not look.settled or (look.late and look.off - look.on < LAGS_TO_SETTLE * lag)
+    ]
     if moving:
         warnings.append(
             f"Experiment{'s' if len(moving) > 1 else ''} {', '.join(repr(n) for n in moving)}: the "

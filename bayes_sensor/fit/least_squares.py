@@ -76,7 +76,8 @@ def fit_least_squares(
     def found_in(box: Box) -> Found:
         return search(exact, looks, box, seed, swarms, particles, de, tell, count)
 
-    found, box = search_far(exact, initial_bounds(problem, looks, bounds), bounds or {}, found_in)
+    near, late = initial_bounds(problem, looks, bounds), any(look.late for look in looks)
+    found, box = search_far(exact, near, bounds or {}, late, found_in)
     theta, success, record, check, other = found
     theta = volumes_in_order(problem, theta)
     if not plain:

@@ -56,19 +56,24 @@ class Found(NamedTuple):
 
 
 def search_far(
-    problem: Problem, box: Box, given: Container[str], search_in: Callable[[Box], Found]
+    problem: Problem,
+    box: Box,
+    given: Container[str],
+    late: bool,
+    search_in: Callable[[Box], Found],
 ) -> tuple[Found, Box]:
     """What ``search_in`` finds in a box, and the box: farther out as long as lags end at its upper
     end and the fit gets better there.
 
-    ``given``: flat names whose bounds stay.
+    ``given``: flat names whose bounds stay.  ``late``: whether a signal moves on after its step, so
+    that the search goes farther at least once.
     """
 
     def squares(found: Found) -> float:
         return mean_square(problem, with_noise(problem.layout, found.theta))
 
     found = search_in(box)
-    farther = farther_bounds(problem, found.theta, box, given)
+    farther = farther_bounds(problem, found.theta, box, given, late)
     while farther is not None:
         again = search_in(farther)
         beyond = farther_bounds(problem, again.theta, farther, given)

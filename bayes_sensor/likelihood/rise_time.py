@@ -7,7 +7,7 @@ from math import log, sqrt
 import numpy as np
 
 from bayes_sensor.campaign import Campaign, Experiment, FloatArray
-from bayes_sensor.likelihood.switch_ranges import step_begin, step_end
+from bayes_sensor.likelihood.switch_ranges import after_step, step_begin, step_end
 from bayes_sensor.rig.cascade import cascade_response
 
 PUBLISHED_TIMES = (0.0481, 0.8577, 0.05823 / 0.15)
@@ -71,6 +71,7 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     """Size of the step (V) and its 10 to 90 % time (s), or None where it cannot be seen."""
     t, y = e.t[e.used], e.values[e.used]
     first, last = np.searchsorted(t, [step_begin(e), step_end(e)])
+    back, end = np.searchsorted(t, after_step(e))
     if last - first < FEWEST_OF_RISE:
         return None
     for n_means in AVERAGES:
@@ -82,13 +83,36 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
         low = float(np.median(means[:3] if first < 20 else y[:first]))
         high = float(np.median(means[-tenth:]))
         scatter = float(np.std(np.diff(means[-tenth:]))) / sqrt(2.0)
+        m = (end - back) // n_bin * n_bin
+        later = y[back : back + m].reshape(-1, n_bin).mean(axis=1)
+        after = moves_on(means - low, later - low, scatter)
+        if after:
+            high = float(later[after - 1])
         if abs(high - low) >= 20.0 * scatter and high != low:
+            if after:  # two lags are farthest after one lag or so, as an exponential rises
+                return abs(high - low), LN_NINE * (n + after * n_bin) * e.interval
             x = (means - low) / (high - low)
             rise = rise_time(times, x)
             if rise is None:
                 return None
             return abs(high - low), max(rise, n_bin * e.interval, _unfinished_rise(times, x, tenth))
     return None
+
+
+def moves_on(x: FloatArray, later: FloatArray, noise: float) -> int:
+    """Where in ``later`` a signal is farthest, if that is beyond the end of its step ``x`` (n,):
+    of lags as long as the step, or of a delay nearly so long; else 0.
+
+    Both from the quiet level; ``noise``: standard deviation of a value.
+    """
+    width = max(len(x) // 10, 1)
+    m = len(later) // width
+    if not m:
+        return 0
+    end = abs(float(np.median(x[-width:])))
+    parts = np.abs(np.median(later[: m * width].reshape(m, width), axis=1))
+    far = parts.max() > end + max(DRIFT * end, 6.0 * noise / sqrt(width))
+    return int(far) * (int(parts.argmax()) * width + width // 2 + 1)
 
 
 def _unfinished_rise(t: FloatArray, x: FloatArray, width: int) -> float:

@@ -19,6 +19,18 @@ def step_end(e: Experiment) -> float:
     return float(e.t[-1]) if e.commanded_off is None else e.commanded_off
 
 
+def after_step(e: Experiment) -> tuple[float, float]:
+    """s, from the end of the first step to the next command, where the input goes back meanwhile;
+    else an empty stretch."""
+    begin, end, done = step_end(e), float(e.t[-1]) + e.interval, e.commands
+    if done is not None:
+        times = done.times
+        if done.recorded or len(times) < 2 or done.heights[0] * done.heights[1] > 0.0:
+            return begin, begin
+        end = float(times[2]) if len(times) > 2 else end
+    return begin, max(begin, end)
+
+
 def switch_ranges(e: Experiment) -> list[tuple[float, float]]:
     """s, lowest and highest value of each parameter that moves the record's switches.
 

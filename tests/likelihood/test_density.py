@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy import integrate
 from scipy.stats import multivariate_normal
 
 from bayes_sensor.campaign import Campaign, CampaignError, Experiment, SideInformation
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.density import (
     experiment_log_likelihood,
@@ -24,6 +26,7 @@ from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivativ
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.likelihood.rise_time import fastest_rise, published_rise_time
+from bayes_sensor.likelihood.switch_ranges import after_step
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.layout import Layout
 from tests.support.campaigns import dense_covariance, small_design, small_problem, small_theta
@@ -335,12 +338,49 @@ def test_noise_neither_hides_nor_shortens_the_rise() -> None:
 def test_a_rise_that_goes_on_when_the_step_ends_is_longer_than_the_step(lag: float) -> None:
     t = 0.02 * np.arange(1000)
     y = -np.expm1(-np.maximum(t - 5.2, 0.0) / lag)
-    y = np.where(t < 15.0, y, y * np.exp(-(t - 15.0) / lag))
+    y = np.where(t < 15.0, y, -np.expm1(-9.8 / lag) * np.exp(-(t - 15.0) / lag))
     y += 0.002 * np.random.default_rng(1).standard_normal(len(t))
     campaign = Campaign.from_frames(
         {"1": (t, y)}, stages=["sensor"], commanded_on="5 s", commanded_off="15 s"
     )
     assert fastest_rise(campaign) == pytest.approx(2.197 * lag, rel=0.35)
+
+
+@pytest.mark.parametrize("lag", [5.0, 10.0, 20.0])
+def test_of_two_lags_longer_than_the_step_the_rise_is_read_off_where_they_go_on(lag: float) -> None:
+    t = 0.02 * np.arange(int(6.0 * lag / 0.02))
+
+    def step(at: float) -> np.ndarray:
+        x = np.maximum(t - at, 0.0) / lag
+        return 1.0 - (1.0 + x) * np.exp(-x)
+
+    pulse = step(5.2) - step(7.2)
+    noise = 0.01 * pulse.max() * np.random.default_rng(1).standard_normal(len(t))
+    campaign = Campaign.from_frames(
+        {"1": (t, pulse + noise)},
+        stages=["valve", "sensor"], commanded_on="5 s", commanded_off="7 s",
+    )  # fmt: skip
+    # 10 to 90 % of two equal lags takes 3.36 of them
+    assert 0.5 < fastest_rise(campaign) / (3.36 * lag) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("commands", "back"),
+    [
+        ('steps = [{at = "5 s", to = 0.5}, {at = "15 s", to = 1.0}]', (15.0, 15.0)),
+        ('commanded_on = ["5 s", "20 s"]\ncommanded_off = ["15 s", "30 s"]', (15.0, 20.0)),
+        ('commanded_on = "5 s"\ncommanded_off = "15 s"', (15.0, 40.0)),
+    ],
+)
+def test_when_the_input_is_back_after_its_first_step(
+    commands: str, back: tuple[float, float], tmp_path: Path
+) -> None:
+    design = tmp_path / "design.toml"
+    design.write_text(
+        '[rig]\nstages = ["sensor"]\n[[experiment]]\nname = "1"\n'
+        f'{commands}\ninterval = "20 ms"\nduration = "40 s"\n'
+    )
+    assert after_step(read_campaign(design).experiments[0]) == pytest.approx(back)
 
 
 def test_side_information_replaces_a_prior() -> None:
