@@ -21,11 +21,12 @@ from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, load_chains, sample_posterior
 from bayes_sensor.posterior.checkpoints import Checkpoint
-from bayes_sensor.posterior.convergence import out_of_reach
+from bayes_sensor.posterior.convergence import ESS_LIMIT, out_of_reach
 from bayes_sensor.posterior.laplace import approximate, log_posteriors
 from bayes_sensor.posterior.quantiles import reaches_end
+from bayes_sensor.posterior.r_hat import diagnostics
 from bayes_sensor.posterior.sample import start_vector
-from bayes_sensor.posterior.samplers.emcee_ensembles import MOST_POINTS, hopeless, most_steps
+from bayes_sensor.posterior.samplers.emcee_ensembles import MOST_POINTS, in_bounded_time
 from bayes_sensor.posterior.samplers.hmc import Whitened
 from bayes_sensor.posterior.widen_mesh import covered
 from bayes_sensor.rig.cascade import (
@@ -800,14 +801,11 @@ def test_where_the_mesh_grows_at_all_it_holds_a_uniform_prior_of_a_switch_time()
     assert wider.region.low[i] == pytest.approx(low) and wider.region.high[i] == pytest.approx(high)
 
 
-def test_an_ensemble_that_cannot_get_there_is_given_up_after_500_steps() -> None:
-    rng = np.random.default_rng(3)
-    settings = Settings(n_chains=2, n_draws=400, burn_in=0, max_steps=2000)
-    good = rng.standard_normal((4, 500, 2))
+def test_ensembles_that_stay_apart_are_out_of_reach() -> None:
+    good = np.random.default_rng(3).standard_normal((4, 500, 2))
     stuck = good + 5.0 * np.arange(4)[:, None, None]
-    assert hopeless(stuck, 500, settings)
-    assert not hopeless(good, 500, settings)
-    assert not hopeless(stuck, 400, settings)  # too soon to tell
+    assert out_of_reach(diagnostics(stuck), 0.25, ESS_LIMIT)
+    assert not out_of_reach(diagnostics(good), 0.25, ESS_LIMIT)
 
 
 def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:
@@ -816,12 +814,24 @@ def test_what_a_killed_run_left_half_written_is_removed(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.json"]
 
 
-def test_a_run_ends_in_bounded_time_on_records_of_any_size() -> None:
+@pytest.mark.parametrize(
+    ("n_points", "walkers", "steps"),
+    [
+        (6000, 64, 3000),  # the published size
+        (MOST_POINTS // (4 * 64 * 1000), 64, 1000),
+        (MOST_POINTS // (4 * 32 * 300), 32, 300),  # what a judgement of convergence needs
+        (MOST_POINTS, 14, 300),  # and the fewest walkers of six coordinates
+    ],
+)
+def test_a_run_ends_in_bounded_time_on_records_of_any_size(
+    n_points: int, walkers: int, steps: int
+) -> None:
     settings = Settings(max_steps=3000, burn_in=100, chunk=100)
-    assert most_steps(settings, 256 * 6000) == 3000  # the published size
-    assert most_steps(settings, MOST_POINTS // 1000) == 1000
-    assert most_steps(settings, MOST_POINTS) == 300  # what a judgement of convergence needs
-    assert most_steps(Settings(max_steps=4000), MOST_POINTS) == 4000  # asked for
+    bounded = in_bounded_time(settings, 6, n_points)
+    assert bounded == replace(settings, n_walkers=walkers, max_steps=steps)
+    asked = Settings(max_steps=4000)
+    assert in_bounded_time(asked, 6, MOST_POINTS) == asked
+    assert in_bounded_time(asked, 40, 100).n_walkers == 82
 
 
 def test_a_run_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -829,5 +839,5 @@ def test_a_run_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
     problem, theta = small_problem(n=1, interval=0.05)
     settings = Settings(n_chains=2, burn_in=10, chunk=10, max_steps=400)
     found = sample_posterior(problem, theta, sampler="emcee", settings=settings)
-    assert found.chains.shape[1] * settings.thin == 64 * 20
+    assert found.chains.shape[1] * settings.thin == 18 * 20  # the fewest of eight coordinates
     assert not found.converged and "more steps would take too long" in found.reasons[-1]

@@ -89,8 +89,11 @@ class Compressed:
 
     @property
     def n_points(self) -> int:
-        """What one likelihood visits: nodes, and the first and last samples of all even runs."""
-        return self.n_nodes + self.arrays.edge_t.size
+        """What one likelihood visits: nodes, and the first and last samples of all even runs.
+
+        These ends have exponentials of their own and count as four.
+        """
+        return self.n_nodes + 4 * self.arrays.edge_t.size
 
     @property
     def has_compiled_gradient(self) -> bool:

@@ -14,7 +14,7 @@ from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.agreement import r_hat_between
 from bayes_sensor.posterior.checkpoints import Checkpoint, digest
-from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, enough
+from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, enough, out_of_reach
 from bayes_sensor.posterior.laplace import Laplace
 from bayes_sensor.posterior.r_hat import diagnostics
 from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
@@ -27,6 +27,8 @@ SETTLING = 10
 """ensemble steps between checks of the mesh during burn-in"""
 MOST_POINTS = 10**11
 """of meshes that the likelihoods of a run may visit in all: some ten minutes of a processor"""
+LOOK = 500
+"""steps between looks at whether the steps that are left would do"""
 
 
 class Marginal:
@@ -145,11 +147,12 @@ def run_emcee(given: Target) -> Run:
         problem, given.compressed, marginalise=flat, both=given.both, roots=bends(given.laplace)
     )
     n_dim = len(target.kept)
-    n_walkers = max(settings.n_walkers, 2 * n_dim + 2)
+    settings = in_bounded_time(settings, n_dim, given.compressed.n_points)
+    n_walkers = settings.n_walkers
     begin = given.begin
-    identity = digest(problem, given.start, settings, seed, given.compressed.region.fineness, begin)
-    visited = settings.n_chains * n_walkers * given.compressed.n_points
-    settings = replace(settings, max_steps=most_steps(settings, visited))
+    identity = digest(
+        problem, given.start, given.settings, seed, given.compressed.region.fineness, begin
+    )
     store = Checkpoint(given.checkpoint, identity, given.resume)
     begins = []
     for j in range(settings.n_chains):
@@ -195,8 +198,9 @@ def run_emcee(given: Target) -> Run:
         # walkers end to end: each walker's own autocorrelation is what ESS must see
         stacked = np.stack([c.transpose(1, 0, 2).reshape(-1, n_dim) for c in thinned])
         thetas = target.thetas(stacked.reshape(-1, n_dim))
-        full = steps >= settings.max_steps or hopeless(
-            stacked, steps, replace(settings, burn_in=burn_in)
+        look = steps >= LOOK and (steps - burn_in) % LOOK == 0
+        full = steps >= settings.max_steps or (
+            look and out_of_reach(diagnostics(stacked), steps / settings.max_steps, ESS_LIMIT)
         )
         quick = stacked[:, :, : min(n_dim, 3)]
         r_hat, bulk, _ = diagnostics(quick)
@@ -247,27 +251,21 @@ def bends(laplace: Laplace) -> bool:
     return bool((np.abs(laplace.cov[switches, 0]) > 4.0 * squares * width).any())
 
 
-def most_steps(settings: Settings, points_of_a_step: int) -> int:
-    """How many steps a run may take, so that it ends in bounded time on records of any kind.
+def in_bounded_time(settings: Settings, n_dim: int, n_points: int) -> Settings:
+    """The settings with as many walkers as ``n_dim`` coordinates need at least, and with fewer
+    walkers and steps where one likelihood visits so many points that a run would take too long.
 
-    Samples of which no two follow at the same interval are points each.  Who asks for more steps
-    than the default gets them.
+    Steps never become fewer than a judgement of convergence needs.  Who asks for more steps than
+    the default gets them.
     """
-    if settings.max_steps > Settings.max_steps:
-        return settings.max_steps
-    least = settings.burn_in + 2 * settings.chunk
-    return min(settings.max_steps, max(least, MOST_POINTS // points_of_a_step))
-
-
-def hopeless(stacked: FloatArray, steps: int, settings: Settings) -> bool:
-    """Whether the effective sample size would be below half of the target after all allowed steps.
-
-    Checked every 500 steps.  It saves an hour for runs that would not converge.
-    """
-    if steps < 500 or (steps - settings.burn_in) % 500 != 0:
-        return False
-    _, bulk, _ = diagnostics(stacked)
-    return bool(np.nanmin(bulk) * settings.max_steps / steps < 0.5 * ESS_LIMIT)
+    fewest = 2 * n_dim + 2
+    walkers, steps = max(settings.n_walkers, fewest), settings.max_steps
+    if steps <= Settings.max_steps:
+        least = settings.burn_in + 2 * settings.chunk
+        of_a_walker = MOST_POINTS // (settings.n_chains * n_points)  # steps
+        walkers = max(fewest, min(walkers, of_a_walker // least))
+        steps = min(steps, max(least, of_a_walker // walkers))
+    return replace(settings, n_walkers=walkers, max_steps=steps)
 
 
 def later_half(drawn: FloatArray, n_walkers: int) -> FloatArray:
