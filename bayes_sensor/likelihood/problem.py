@@ -119,6 +119,13 @@ class Problem:
 
         Raises CampaignError where one is given for a name that no parameter has.
         """
+        faster = self.campaign.sensor_is == "faster" and self._settled.get("tau_s") == 0
+        usual = default_priors(self.campaign, self.layout, self.commuting, faster)
+        return {**usual, **self.given_laws}
+
+    @cached_property
+    def given_laws(self) -> dict[str, Prior]:
+        """Those of :attr:`priors` that the user gave, side information included."""
         shared = self.layout.shared_names
         # not when it is made: a problem may be on its way to another model, with its parameters
         for name in self.given_priors:
@@ -134,8 +141,7 @@ class Problem:
         for name, law in self.named_laws.items():
             if name in settled:
                 given[shared[settled[name]]] = law
-        faster = self.campaign.sensor_is == "faster" and settled.get("tau_s") == 0
-        return {**default_priors(self.campaign, self.layout, self.commuting, faster), **given}
+        return given
 
     @cached_property
     def _settled(self) -> dict[str, int]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 from bayes_sensor.posterior.agreement import Agreement
 from bayes_sensor.posterior.draws import Draws, percentiles
-from bayes_sensor.posterior.prior_sensitivity import tau_under_priors
+from bayes_sensor.posterior.prior_sensitivity import decided_by_prior, tau_under_priors
 from bayes_sensor.posterior.save_draws import save_posterior, to_inference_data
 
 NEAR_EQUAL, MAY_BE_EQUAL = 0.8, 0.025
@@ -51,6 +51,11 @@ class Posterior(Draws):
             f"the data give no upper limit of {name}: its interval ends where its prior does, at "
             f"{end:.3g} {unit_of(name.partition('[')[0], '')}"
             for name, end in self.no_upper_limit.items()
+        ]
+        found += [
+            f"default priors decide the interval of {name}: without them it lies outside with "
+            f"{100.0 * outside:.0f} %; give a prior of your own, or record longer steps"
+            for name, outside in self.decided_by_prior.items()
         ]
         if self.mesh_error > MESH_ERROR_LIMIT:
             found.append(f"the mesh is off by {self.mesh_error:.1e} in log L, more than 1e-3")
@@ -185,6 +190,7 @@ class Posterior(Draws):
             "chain": self.chain,
             "hidden_by_sampling_s": self.hidden_by_sampling,
             "no_upper_limit": self.no_upper_limit,
+            "decided_by_prior": self.decided_by_prior,
             "n_draws": len(self.draws),
             "converged": self.converged,
             "status": self.status,
@@ -217,6 +223,12 @@ class Posterior(Draws):
                 {key: row[key] for key in ("prior", "law", "status")} for row in without
             ],
         }
+
+    @cached_property
+    def decided_by_prior(self) -> dict[str, float]:
+        """The probability without default priors that a shared parameter lies outside its 95 %
+        interval, by flat name, where that is more likely than not."""
+        return decided_by_prior(self)
 
     def tau_under_priors(self) -> pd.DataFrame:
         """Intervals and upper limits of tau (s) under other priors, by reweighting the draws.

@@ -42,6 +42,33 @@ def tau_under_priors(posterior: Draws) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def decided_by_prior(posterior: Draws) -> dict[str, float]:
+    """The probability without default priors, by flat name, that a shared parameter lies outside
+    its 95 % interval, where that is more likely than not: the interval is then the prior's.
+
+    Half-normal and log-normal laws that nobody gave are taken off the draws by reweighting.  It
+    cannot say how far beyond the draws the data would go; ends of uniform laws are in
+    :attr:`Draws.no_upper_limit`.
+    """
+    problem, draws = posterior.problem, posterior.draws
+    log_w = np.zeros(len(draws))
+    for i, name in enumerate(posterior.layout.shared_names):
+        law = problem.priors[name]
+        usual = name not in problem.given_laws and law.kind in ("half_normal", "log_normal")
+        if usual and i in posterior.free:
+            log_w -= law.log_density(draws[:, i])
+    w = np.exp(log_w - log_w.max())
+    w /= w.sum()
+    found = {}
+    for name in posterior.layout.shared_names:
+        x = posterior.of(name)
+        low, high = np.quantile(x, [0.025, 0.975])
+        outside = float(w[(x < low) | (x > high)].sum())
+        if outside > 0.5:
+            found[name] = outside
+    return found
+
+
 def _tau_at(posterior: Draws, place: int, sensor_is: str) -> list[dict[str, Any]]:
     """Rows of :func:`tau_under_priors` if the sensor is the lag at this place."""
     current = posterior.problem.lag_priors[place]

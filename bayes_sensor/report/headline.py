@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -102,6 +103,9 @@ def _of_posterior(posterior: Mapping[str, Any], naive: str, settings: Any) -> He
         noise += f"; with {list_words(effect_names(posterior))} in the model"
     if posterior.get("with_discrepancy"):
         noise += "; with a smooth discrepancy in the model"
+    if by_prior := posterior.get("decided_by_prior"):
+        names = [re.sub(r"_(s|mL)(?=\[|$)", "", name) for name in by_prior]
+        noise += f"; default priors decide {list_words(names)}"
     if not posterior.get("converged", True):
         noise += "; NOT CONVERGED, do not quote"
     source = f"(posterior, {noise})"

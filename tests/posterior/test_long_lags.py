@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,3 +114,54 @@ def test_an_interval_that_ends_where_its_prior_does_is_none(tmp_path: Path) -> N
     run = {"commands": {"posterior": {}}, "last": "posterior"}
     saved = Saved({"experiments": [], "stages": ["sensor"]}, run, posterior=record)
     assert stage_values(saved)[0].lines[0].startswith("τ > ")
+
+
+CHAIN = """
+title = "pulses shorter than each of three lags"
+[rig]
+sensor_is = "faster"
+""" + "".join(
+    f'[[experiment]]\nname = "{name}"\ncarrier_flow = "{flow} L/min"\ntest_gas_flow = "0.5 L/min"\n'
+    'commanded_on = "2 s"\ncommanded_off = "4 s"\ninterval = "10 ms"\nduration = "12 s"\n'
+    for name, flow in (("1", 4.0), ("2", 8.5))
+)
+
+
+def of_a_chain(folder: Path, tau: float, seed: int, duration: str = "12 s") -> bs.Campaign:
+    path = folder / "design.toml"
+    path.write_text(CHAIN.replace("12 s", duration))
+    step = {"y0_V": 0.2, "beta_V": 2.0, "t0_s": 2.2, "tf_s": 4.2}
+    truth = {
+        "tau_s": tau, "tau_v_s": 1.5 * tau, "V_mL": 75.0 * tau,
+        "phi": 0.4, "sigma0_V": 0.005, "sigma1_V": 0.005, "experiments": {"1": step, "2": step},
+    }  # fmt: skip
+    return bs.simulate(bs.read_campaign(path), truth, seed)
+
+
+@pytest.mark.parametrize("tau", [2.0, 4.0, 6.0])
+def test_a_signal_that_is_farthest_after_its_pulse_is_fitted(tau: float, tmp_path: Path) -> None:
+    campaign = of_a_chain(tmp_path, tau, 1)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    assert fit.rms < 0.0055
+    assert any("the signal still moves when the step ends" in text for text in fit.warnings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("duration", "decided"), [("12 s", False), ("7 s", True)])
+def test_a_default_prior_that_decides_is_said(duration: str, decided: bool, tmp_path: Path) -> None:
+    campaign = of_a_chain(tmp_path, 4.0, 1, duration)
+    fit = bs.fit_least_squares(campaign, seed=1)
+    quick = bs.Settings(max_steps=2000, target_ess=500.0)
+    problem = bs.make_problem(campaign)
+    posterior = bs.sample_posterior(problem, fit, seed=1, settings=quick)
+    assert bool(posterior.decided_by_prior) == decided
+    said = headline(posterior.to_json(), None)
+    assert said is not None and ("default priors decide" in said.text) == decided
+    assert any("default priors decide" in text for text in posterior.warnings) == decided
+    # another prior of one's own, an eighth as high: the interval follows it, or it does not
+    name = next(iter(posterior.decided_by_prior), "V_mL")
+    usual = problem.priors[name]
+    own = bs.make_problem(campaign, {name: replace(usual, a=usual.a / 8.0)})
+    other = bs.sample_posterior(own, fit, seed=1, settings=quick)
+    low, high = (posterior.rows[name][key] for key in ("q16", "q84"))
+    assert (low < other.rows[name]["q50"] < high) != decided

@@ -268,6 +268,7 @@ class PosteriorRecord(TypedDict):
     chain: NotRequired[dict[Name, ChainTimes]]
     hidden_by_sampling_s: NotRequired[Positive | None]
     no_upper_limit: NotRequired[dict[Name, Positive]]
+    decided_by_prior: NotRequired[dict[Name, Share]]
     n_draws: Int
     converged: StrictBool
     status: Text
