@@ -72,6 +72,13 @@ def parts() -> dict[str, Part]:
             Campaign("short pulse", (record("1", off=SHORT),), stages=("sensor",)),
             {"tau_s": (4.0, 40.0)},
         ),
+        "short pulse of a chain": Part(  # it is farthest when the pulse is long over
+            Campaign("short pulse of a chain",
+                     tuple(record(str(q), q, off=SHORT) for q in (50.0, 150.0)),
+                     sensor_is="faster"),
+            {"tau_s": (4.0, 10.0), "tau_v_s": (1.2, 2.5), "V_mL": (75.0, 200.0)},
+            {"tau_v_s": "tau_s", "V_mL": "tau_s"},
+        ),
         "filter and sensor": Part(
             Campaign("filter and sensor", (record("1"), record("2")), sensor_is="slower",
                      stages=("filter", "sensor")),

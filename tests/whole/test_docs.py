@@ -417,6 +417,48 @@ def test_the_page_on_speed_says_what_was_measured() -> None:
     assert numbers(r"takes about (\d+) s at the sizes", text) == [round(max(gap))]
 
 
+@pytest.mark.tables
+def test_the_page_on_robustness_says_how_the_large_fleet_went() -> None:
+    (row,) = [r for r in rows("benchmark_commands") if "Dask" in r["what"]]
+    told = numbers(
+        r"fleet of (\d+) small .* lost none\. A worker took at most (\d+) MB", TEXT["robustness.md"]
+    )
+    done, asked, peak = numbers(r"(\d+) of (\d+) done; at most (\d+) MB", row["note"])
+    assert told == [done, peak] and done == asked
+
+
+@pytest.mark.tables
+def test_the_page_on_speed_says_by_how_much_goals_are_missed() -> None:
+    text = TEXT["speed.md"]
+    measured = {row["what"]: row for row in rows("benchmark_commands")}
+    told = {
+        "analyze, bundled": r"size takes (\d+) s in place of (\d+), and",
+        "analyze --jobs 2, bundled, wall": r"(\d+) s of wall time on two cores in place of (\d+)",
+        "analyze, 3 experiments of 35 s at 100 Hz": r"campaign takes (\d+) s in place of (\d+)",
+        "analyze, bundled, first interval of tau, wall": r"after ([\d.]+) s in place of (\d+)",
+        "fit, bundled": r"`fit` takes (\d+) s in place of (\d+)",
+        "posterior by emcee, bundled": r"`posterior` with (\d+) s .* in place of (\d+) each",
+        "bounds, bundled": r"`bounds` with (\d+) s in place of (\d+) each",
+        "gap, bundled, nothing missing": r"takes (\d+) s without a cause .*, in place of (\d+) and",
+        "gap, withheld, a cause": r"and (\d+) s with one, in place of \d+ and (\d+)\.",
+        "compiling on a fresh machine": r"Compiling takes (\d+) s in place of (\d+)",
+        "peak memory, largest of all": r"and (\d+) MB for fifty experiments in place of (\d+)",
+    }
+    for what, pattern in told.items():
+        median, goal = numbers(pattern, text)
+        row = measured.pop(what)
+        digits = 1 if "first interval" in what else 0
+        assert median == pytest.approx(round(float(row["median"]), digits)), what
+        assert goal == float(row["goal"].removeprefix("<= ")), what
+    left = [what for what, row in measured.items()
+            if "missed" in row["verdict"] and "before" not in what]  # fmt: skip
+    assert left == ["analyze --quick, bundled, first interval of tau, wall"]  # as of analyze
+    no_goal = ("analyze --quick, 50 experiments", "analyze --quick, 200 pulses in one record")
+    assert numbers(r"`--quick` takes (\d+) s .* and (\d+) s for 200", text) == [
+        round(float(measured[what]["median"])) for what in no_goal
+    ]
+
+
 def test_cells_of_a_study_table_read_as_words() -> None:
     pytest.importorskip("sphinx")
     shown = runpy.run_path(str(DOCS / "study_table.py"))["shown"]

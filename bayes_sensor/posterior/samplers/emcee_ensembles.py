@@ -25,8 +25,8 @@ from bayes_sensor.workers import in_order
 
 SETTLING = 10
 """ensemble steps between checks of the mesh during burn-in"""
-MOST_POINTS = 10**11
-"""of meshes that the likelihoods of a run may visit in all: some ten minutes of a processor"""
+MOST_POINTS = 5 * 10**10
+"""of meshes that the likelihoods of a run may visit in all: some five minutes of a processor"""
 LOOK = 500
 """steps between looks at whether the steps that are left would do"""
 
