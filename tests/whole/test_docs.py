@@ -392,7 +392,17 @@ def test_the_page_on_other_rigs_says_what_real_records_show() -> None:
     )
     simulated = [row for row in rows("other_rigs") if row["method"] == "posterior"]
     assert {row["campaigns"] for row in simulated} == {"200"}  # "Two hundred campaigns"
-    assert all(float(r["share95"]) >= 0.93 for r in simulated if r["parameter"][:3] != "phi")
+    of_chain = "short pulse of a chain", "tau_s"
+    (chain,) = [r for r in simulated if (r["rig"], r["parameter"]) == of_chain]
+    assert numbers(r"chain only (\d+) % of the intervals hold tau", TEXT["other_rigs.md"]) == [
+        round(100 * float(chain["share95"]))
+    ]
+    assert int(chain["too_low"]) > 2 * int(chain["too_high"])  # "most of the others lie below it"
+    assert all(
+        float(r["share95"]) >= 0.92
+        for r in simulated
+        if r is not chain and r["parameter"][:3] != "phi"
+    )
     given = [row for row in rows("recorders") if row["discrepancy_lo95_s"]]
     assert len(given) > 5 and all(row["discrepancy_holds_scipy"] == "1" for row in given)
 
@@ -413,6 +423,13 @@ def test_the_page_on_speed_says_what_was_measured() -> None:
         (r"set-up takes ([\d.]+) s", "set-up of the compressed form"),
     ):  # fmt: skip
         assert numbers(pattern, text) == [pytest.approx(speed[what], rel=0.05)], what
+    value = "compressed value"
+    each = (value, f"{value} and gradient", f"{value}, parameters by name")
+    assert numbers(
+        r"from an array takes (\d+) µs .* gradient (\d+) µs .* by names (\d+) µs", text
+    ) == [round(speed[what]) for what in each]
+    posterior = speed["arrays and a fit to posterior, independence"]
+    assert numbers(r"independence posterior takes ([\d.]+) s", text) == [round(posterior, 1)]
     gap = [float(row["median_s"]) for row in rows("blind_check_seconds")]
     assert numbers(r"takes about (\d+) s at the sizes", text) == [round(max(gap))]
 
