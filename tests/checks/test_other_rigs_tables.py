@@ -29,3 +29,11 @@ def test_the_fit_of_real_records_is_that_of_scipy() -> None:
     finger = table[table["record"] == "cold finger"]
     assert finger["fit_tau_s"].iloc[0] == pytest.approx(236.0, abs=1.0)
     assert finger["misfit"].iloc[0] > 1.5  # its interval must not be quoted
+
+
+def test_every_real_file_ends_in_bounded_time_without_a_traceback() -> None:
+    table = pd.read_csv(TABLES / "real_files.csv")
+    assert len(table) == 11 and (table["tracebacks"] == 0).all()
+    codes = {code for row in table["exit_codes"] for code in row.split()}
+    assert codes <= {"0", "2", "3"}  # none was stopped
+    assert table.loc[table["posterior_s"].idxmax(), "file"] == "no2_tubes.parquet"
