@@ -205,9 +205,9 @@ def farther_bounds(
     given: Container[str],
     late: bool = False,
 ) -> dict[str, tuple[float, float]] | None:
-    """Search bounds ten times as far for lags and steps, where a lag of ``theta`` (n_mean, ..) ends
-    at the upper end of its own, or a signal is ``late``; else None.  What is ``given`` stays as it
-    is.
+    """Search bounds ten times as far for lags and steps, and as far as commands allow for switch
+    times, where a lag of ``theta`` (n_mean, ..) ends at the upper end of its own, or a signal is
+    ``late``; else None.  What is ``given`` stays as it is.
 
     A record whose step is too short or too noisy for its lag to be read off is not known as such.
     """
@@ -218,4 +218,10 @@ def farther_bounds(
     steps = [name for name in bounds if name.startswith("beta_V") and name not in given]
     farther = {name: (bounds[name][0], FARTHER * bounds[name][1]) for name in free}
     farther |= {name: (FARTHER * bounds[name][0], FARTHER * bounds[name][1]) for name in steps}
+    for k, e in enumerate(problem.campaign):
+        kinds, record = layout.switching[k].names, layout.records[k]
+        for kind, (_, end) in zip(kinds, switch_ranges(e), strict=False):
+            if (name := f"{kind}[{record}]") not in given and name not in problem.held:
+                low, high = farther.get(name, bounds[name])
+                farther[name] = (low, max(high, end))
     return {**bounds, **farther}

@@ -146,6 +146,20 @@ def test_a_signal_that_is_farthest_after_its_pulse_is_fitted(tau: float, tmp_pat
     assert any("the signal still moves when the step ends" in text for text in fit.warnings)
 
 
+def test_a_switch_late_in_its_pulse_is_looked_for(tmp_path: Path) -> None:
+    # no step shows before the pulse ends, and then neither where its first half ends
+    path = tmp_path / "design.toml"
+    path.write_text(CHAIN.replace("12 s", "7 s"))
+    step = {"y0_V": 0.2, "beta_V": 2.0, "t0_s": 3.6, "tf_s": 5.0}
+    truth = {
+        "tau_s": 0.05, "tau_v_s": 0.9, "V_mL": 60.0,
+        "phi": 0.8, "sigma0_V": 0.05, "sigma1_V": 0.05, "experiments": {"1": step, "2": step},
+    }  # fmt: skip
+    fit = bs.fit_least_squares(bs.simulate(bs.read_campaign(path), truth, 3), seed=1)
+    assert fit.converged and fit.rms < 0.06
+    assert not any("t0_s" in name or "tf_s" in name for name in fit.at_bound)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("duration", "decided"), [("12 s", False), ("7 s", True)])
 def test_a_default_prior_that_decides_is_said(duration: str, decided: bool, tmp_path: Path) -> None:
