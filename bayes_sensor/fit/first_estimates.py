@@ -110,7 +110,7 @@ def _first_step(e: Experiment, on: float, off: float, first: float, last: float)
             end_by = float(t_fall[split(y_fall)])
     begin, end = after_step(e)
     _, later = blocks(e, begin, end, max(1, int((end - begin) / (t[1] - t[0]))))
-    late = moves_on(after - before, later - before, noise) > 0
+    late = moves_on(after - before, later - before, noise) is not None
     if abs(step) < 4.0 * noise:
         middles = 0.5 * (on + off), 0.5 * (off + last)
         return Look(on, off, *middles, None, before, step, late=late)

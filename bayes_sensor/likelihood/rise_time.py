@@ -86,11 +86,13 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
         m = (end - back) // n_bin * n_bin
         later = y[back : back + m].reshape(-1, n_bin).mean(axis=1)
         after = moves_on(means - low, later - low, scatter)
-        if after:
-            high = float(later[after - 1])
+        if after is not None:
+            high = float(later[after])
         if abs(high - low) >= 20.0 * scatter and high != low:
-            if after:  # two lags are farthest after one lag or so, as an exponential rises
-                return abs(high - low), LN_NINE * (n + after * n_bin) * e.interval
+            if (
+                after is not None
+            ):  # two lags are farthest after one lag or so, as an exponential rises
+                return abs(high - low), LN_NINE * (n + (after + 1) * n_bin) * e.interval
             x = (means - low) / (high - low)
             rise = rise_time(times, x)
             if rise is None:
@@ -99,20 +101,21 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
     return None
 
 
-def moves_on(x: FloatArray, later: FloatArray, noise: float) -> int:
+def moves_on(x: FloatArray, later: FloatArray, noise: float) -> int | None:
     """Where in ``later`` a signal is farthest, if that is beyond the end of its step ``x`` (n,):
-    of lags as long as the step, or of a delay nearly so long; else 0.
+    of lags as long as the step, or of a delay nearly so long; else None.
 
     Both from the quiet level; ``noise``: standard deviation of a value.
     """
     width = max(len(x) // 10, 1)
     m = len(later) // width
     if not m:
-        return 0
+        return None
     end = abs(float(np.median(x[-width:])))
     parts = np.abs(np.median(later[: m * width].reshape(m, width), axis=1))
-    far = parts.max() > end + max(DRIFT * end, 6.0 * noise / sqrt(width))
-    return int(far) * (int(parts.argmax()) * width + width // 2 + 1)
+    if parts.max() <= end + max(DRIFT * end, 6.0 * noise / sqrt(width)):
+        return None
+    return int(parts.argmax()) * width + width // 2
 
 
 def _unfinished_rise(t: FloatArray, x: FloatArray, width: int) -> float:
