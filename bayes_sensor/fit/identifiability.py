@@ -71,9 +71,10 @@ def cannot_tell(
         x = x[e.used]
         if float(x.max() - x.min()) < LEAST_RANGE:
             return (
-                f"experiment '{e.name}': all samples that are used lie at one level, so baseline "
-                "and step cannot be told apart; expected samples before and after the step: "
-                "shorten mask and keep, or leave the experiment out"
+                f"experiment '{e.name}': the samples that are used hold less than "
+                f"{100 * LEAST_RANGE:.0f} % of the step's response, so baseline, step and lags "
+                "cannot be told apart; expected samples before and well after the step: shorten "
+                "mask and keep, record longer, or leave the experiment out"
             )
     n_mean = problem.layout.n_mean
     if campaign.n_samples <= n_mean:
