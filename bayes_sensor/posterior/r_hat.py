@@ -138,6 +138,8 @@ def pareto_k(log_weights: FloatArray) -> float:
         return float("-inf")
     n_tail = ceil(min(0.2 * n, 3.0 * sqrt(n)))
     ordered = np.sort(np.exp(log_weights - log_weights.max()))
+    if ordered[-n_tail - 1] < 1e-280:  # nothing beside the largest; inverses would overflow
+        return float("inf")
     excess = ordered[-n_tail:] - ordered[-n_tail - 1]
     excess = excess[excess > 0.0]
     if len(excess) <= 4:

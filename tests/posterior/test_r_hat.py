@@ -46,6 +46,8 @@ def test_pareto_k_of_hopeless_and_of_equal_weights() -> None:
     assert pareto_k(np.zeros(50)) == np.inf
     assert pareto_k(np.full(500, -np.inf)) == np.inf
     assert pareto_k(np.zeros(500)) == -np.inf
+    # eight weights of 408 count: had been nan, which is not above any limit
+    assert pareto_k(np.r_[np.linspace(-744, -730, 400), np.linspace(-10, 0, 8)]) == np.inf
 
 
 def test_chains_that_differ_in_spread_alone_are_seen() -> None:
