@@ -141,7 +141,7 @@ def _with_effects_asked(job: Job, tell: Progress) -> tuple[Problem, Fit]:
     from bayes_sensor.rig.layout import Layout
 
     theta = Layout.of(job.problem.campaign).flat(job.fit.theta_hat[: job.problem.layout.n_mean])
-    problem = with_effects(job.problem, job.options["with_effects"], theta)
+    problem = with_effects(job.problem, job.options["with_effects"].values(), theta)
     asked = job.overrides.fit
     fit = fit_least_squares(
         problem, job.seed, asked.swarms, asked.particles, euler=False, progress=tell

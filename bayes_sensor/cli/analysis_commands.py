@@ -87,6 +87,12 @@ def posterior(
             metavar="NAME", help="With this effect in the model; repeatable, NAME:FORM for a form."
         ),
     ] = None,
+    own_effects: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.py", help="Effects of your own for --with-effect; the file is executed."
+        ),
+    ] = None,
     with_discrepancy: Annotated[
         bool,
         typer.Option(
@@ -96,16 +102,17 @@ def posterior(
     ] = False,
 ) -> None:
     """MCMC; interrupted runs continue with --resume."""
-    if with_effect:
-        from bayes_sensor.diagnosis.effects.effect_model import check_effects
+    chosen: dict[str, Any] = {}
+    if with_effect or own_effects:
+        from bayes_sensor.diagnosis.effects.effect_model import chosen_effects
 
-        check_effects(with_effect, "--with-effect")
+        chosen = chosen_effects(with_effect or (), _read_own(own_effects), "--with-effect")
     if with_effect and with_discrepancy:
         raise typer.BadParameter(
             "expected one of --with-effect and --with-discrepancy, but both are given: leave one "
             "out; a discrepancy stands for a cause that no effect explains"
         )
-    options = {"with_effects": tuple(with_effect or ()), "with_discrepancy": with_discrepancy}
+    options = {"with_effects": chosen, "with_discrepancy": with_discrepancy}
     _run("posterior", run, posterior=sampling.settings, options=options)
 
 
@@ -121,6 +128,12 @@ def bounds(run: CommandRun, sampler: Sampler = None) -> None:
 def delays(run: OneProcessRun) -> None:
     """Regressions of start and end delay on 1/Q."""
     _run("delays", run)
+
+
+def _read_own(files: list[Path] | None) -> list[Any]:
+    from bayes_sensor.diagnosis.effects.user_effects import read_effects
+
+    return [effect for path in files or () for effect in read_effects(path)]
 
 
 @dataclass(frozen=True)
@@ -165,13 +178,15 @@ def gap(
     """
     from bayes_sensor.cli.read_parameters import read_nominal
     from bayes_sensor.diagnosis.effects import check_names
-    from bayes_sensor.diagnosis.effects.user_effects import read_effects
 
     left_out = [name.strip() for text in without or () for name in text.split(",")]
     check_names(left_out, "--without")
-    own = [effect for path in own_effects or () for effect in read_effects(path)]
-    options = {"without": tuple(left_out), "effects": own, "bootstrap": bootstrap,
-               "nominal": read_nominal(nominal)}  # fmt: skip
+    options = {
+        "without": tuple(left_out),
+        "effects": _read_own(own_effects),
+        "bootstrap": bootstrap,
+        "nominal": read_nominal(nominal),
+    }
     _run("gap", run, options=options)
 
 

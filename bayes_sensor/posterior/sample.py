@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -32,6 +33,7 @@ from bayes_sensor.posterior.samplers import (
 from bayes_sensor.posterior.settings import Progress, Settings
 from bayes_sensor.posterior.valve_manifold_swap import flow_of_both, likelier_order
 from bayes_sensor.residuals import noise_doubt
+from bayes_sensor.rig.layout import Layout, by_flat_name
 from bayes_sensor.workers import one_thread
 
 MESHES = 3
@@ -49,7 +51,7 @@ def sample_posterior(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
-    with_effect: Iterable[Any] = (),
+    with_effect: Any = (),
     begin: Posterior | None = None,
 ) -> Posterior:
     """Draws from the posterior of every parameter, with ``converged`` and ``status``.
@@ -68,7 +70,10 @@ def sample_posterior(
         folder for emcee's unfinished ensembles; with ``resume`` a matching run goes on from there
         and gives the chain that an uninterrupted run would have given.
     with_effect
-        objects whose ``apply(problem)`` returns a changed Problem, applied in this order.
+        effects that the model gets, each with its strengths as further parameters: a name of the
+        catalogue (``"baseline_drift"``, or ``"baseline_drift:own"`` for one of its forms), an
+        Effect of one's own (:func:`bayes_sensor.own_effect`) or one of its forms; one, or a list.
+        Their priors are scaled to the fit.  A model of another kind is given as a Problem.
     begin
         a converged posterior of the same problem by another sampler: emcee begins from its draws,
         drops none of its own, and says whether it agrees with them (``agreement``).
@@ -76,14 +81,16 @@ def sample_posterior(
     Raises
     ------
     CampaignError
-        For a design, an unknown sampler, a malformed start, or data that allow no interval at all:
-        too few samples, one level only, no noise.
+        For a design, an unknown sampler or effect, a malformed start, or data that allow no
+        interval at all: too few samples, one level only, no noise.
     """
     problem = as_problem(campaign)
-    for effect in with_effect:
-        problem = effect.apply(problem)
     if sampler not in SAMPLERS:
         raise CampaignError(f"sampler must be one of {', '.join(SAMPLERS)}, but is '{sampler}'")
+    if with_effect:
+        if fit is None:
+            fit = fit_least_squares(problem, seed=seed, euler=False)
+        problem = _with_effects(problem, with_effect, getattr(fit, "theta_hat", fit))
     found = _sampled(
         problem, fit, seed, _replaced, SAMPLERS[sampler], settings or Settings(), jobs,
         None if checkpoint is None else Path(checkpoint), resume, progress, begin,
@@ -247,22 +254,38 @@ def _cannot_tell(problem: Problem, start: FloatArray) -> str:
     return cannot_tell(problem, start, all_residuals(problem, start)[0])
 
 
+def _with_effects(problem: Problem, effects: Any, given: Any) -> Problem:
+    """The problem with effects in its model, their priors scaled to what is given of theta."""
+    # imported when called: the catalogue needs this room first
+    room = import_module("bayes_sensor.diagnosis.effects.effect_model")
+    effects = room.listed(effects, "with_effect")
+    made: Problem = room.with_effects(problem, effects)
+    theta = made.by_size(_complete(made.layout, given))
+    made = room.with_effects(problem, effects, theta)
+    return made
+
+
+def _complete(layout: Layout, given: Any) -> FloatArray:
+    """The flat vector (n_theta,); zero for a model's own parameters where they are not given."""
+    if isinstance(given, Mapping):
+        return layout.flat({**dict.fromkeys(layout.extra, 0.0), **given})
+    if np.shape(given) == (len(layout),):
+        return layout.flat(given)
+    return np.concatenate([replace(layout, extra=()).flat(given), np.zeros(len(layout.extra))])
+
+
 def start_vector(problem: Problem, given: Any) -> FloatArray:
     """The flat vector to start from; a model's own parameters are fitted where it lacks them."""
     layout = problem.layout
-    bare = replace(layout, extra=())
     if isinstance(given, Mapping):
-        lacks = any(name not in given for name in layout.extra if not name.endswith("]"))
+        lacks = not by_flat_name(given).keys() >= set(layout.extra)
     else:
         lacks = np.shape(given) != (len(layout),)
     if not layout.extra or not lacks:
         return layout.flat(given)
-    if isinstance(given, Mapping):
-        theta = layout.flat({**dict.fromkeys(layout.extra, 0.0), **given})[: len(bare)]
-    else:
-        theta = bare.flat(given)
-    vector = np.concatenate([theta, np.zeros(len(layout.extra))])
-    found, _ = refit(problem, theta)
+    vector = _complete(layout, given)
+    n = len(layout) - len(layout.extra)
+    found, _ = refit(problem, vector[:n])
     vector[: layout.n_mean] = found[: layout.n_mean]
-    vector[len(bare) :] = found[layout.n_mean :]
+    vector[n:] = found[layout.n_mean :]
     return vector

@@ -367,10 +367,7 @@ class Layout:
         return np.tile([0.0, np.nan, 0.0], len(self.noise_names) // 3)
 
     def _flat_of_mapping(self, theta: Mapping[str, Any]) -> FloatArray:
-        found = dict(theta)
-        nested = found.pop("experiments", {})
-        for name, values in nested.items():
-            found.update({f"{kind}[{name}]": value for kind, value in values.items()})
+        found = by_flat_name(theta)
         if found.keys() == self._positions.keys():  # the usual case, once per evaluation
             vector = np.array([found[name] for name in self._names], dtype=float)
             if not np.isnan(vector).any():
@@ -437,6 +434,18 @@ class Layout:
             else:
                 result[name] = float(vector[self.index(name)])
         return result
+
+
+def by_flat_name(theta: Mapping[str, Any]) -> dict[str, Any]:
+    """The nested mapping of ``fit.json`` by flat name.
+
+    >>> by_flat_name({"tau_s": 0.05, "experiments": {"1": {"t0_s": 5.0}}})
+    {'tau_s': 0.05, 't0_s[1]': 5.0}
+    """
+    found = dict(theta)
+    for name, values in found.pop("experiments", {}).items():
+        found.update({f"{kind}[{name}]": value for kind, value in values.items()})
+    return found
 
 
 _NOISE3 = {name[:3] for name in NOISE}

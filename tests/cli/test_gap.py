@@ -311,6 +311,24 @@ def test_effects_that_no_posterior_can_have(
     assert not out.exists()
 
 
+def test_an_effect_of_ones_own_is_put_into_the_posterior_by_name(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, config, out = tmp_path / "mine.py", tmp_path / "quick.toml", tmp_path / "out"
+    path.write_text(OWN)
+    config.write_text("[fit]\nswarms = 1\n[posterior]\nn_draws = 50\ntarget_ess = 50.0\n")
+    common = ["posterior", campaign, "--out", out, "--own-effects", path, "--quiet"]
+    assert run(*common) == 2
+    assert "--with-effect: expected one of your own effects: sticky_plunger" in (
+        capsys.readouterr().err
+    )
+    assert run(*common, "--with-effect", "sticky_plunger", "--config", config, "--sampler",
+               "independence") == 0  # fmt: skip
+    record = read(out / "posterior.json")
+    assert record["with_effects"] == ["sticky_plunger"]
+    assert record["parameters"]["lateness"]["mean"] == pytest.approx(RATIO - 1.0, abs=0.06)
+
+
 # --- the model with effects
 
 

@@ -8,7 +8,7 @@ from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect import Effect, Strength
 from bayes_sensor.diagnosis.effects.effect_model import (
     EffectModel,
-    check_effects,
+    chosen_effects,
     find_form,
     with_effects,
 )
@@ -55,9 +55,9 @@ def test_forms_are_found_by_name_or_refused() -> None:
         find_form(effect, "odd")
     lone = next(e for e in CATALOGUE.values() if len(e.forms) == 1 and not e.forms[0].name)
     with pytest.raises(CampaignError, match=f"it has one only: give {lone.name} alone"):
-        check_effects([f"{lone.name}:odd"], "--with-effect")
+        chosen_effects([f"{lone.name}:odd"], [], "--with-effect")
     with pytest.raises(CampaignError, match="acts on the noise, not on the mean"):
-        check_effects(["heavy_tails"], "--with-effect")
+        chosen_effects(["heavy_tails"], [], "--with-effect")
 
 
 class Faster(Cascade):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 import bayes_sensor as bs
+from bayes_sensor.diagnosis import Strength
 from bayes_sensor.diagnosis.discrepancy_posterior import with_discrepancy
+from bayes_sensor.diagnosis.effects import CATALOGUE
 from bayes_sensor.diagnosis.effects.effect_model import with_effects
 from bayes_sensor.likelihood.problem import Problem
 from tests.support.other_rigs import CASES
@@ -39,3 +42,55 @@ def test_the_drift_that_biases_a_probes_lag_is_taken_into_its_posterior() -> Non
     # a smooth discrepancy does not know what the drift is, but that something is there
     low, high = wide.quantiles("tau_s", [0.025, 0.975])
     assert low < tau < high and high - low > 1.5 * width
+
+
+def drift(t: Any, strength: Any, rig: Any) -> Any:
+    """A drift of one's own."""
+    return rig.mean(t) + strength["slope"] * (t - rig.t0)
+
+
+OWN = bs.own_effect(
+    "sinking", [Strength("slope", "V/s", "normal", 0.0, 1e-3)], drift, plausible={"slope": DRIFT}
+)
+QUICK = bs.Settings(n_draws=60, target_ess=60.0)
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[bs.Problem, bs.Fit]:
+    """One record of a probe, and its fit."""
+    problem = bs.Problem(CASES["sensor"]().simulated().without("2"))
+    return problem, bs.fit_least_squares(problem, swarms=1, euler=False)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter"),
+    [
+        ("baseline_drift", "drift_V_per_s"),
+        (["baseline_drift:own"], "drift_V_per_s[1]"),
+        (CATALOGUE["baseline_drift"], "drift_V_per_s"),
+        (CATALOGUE["baseline_drift"].forms[1], "drift_V_per_s[1]"),
+        ([OWN], "slope_V_per_s"),
+        (OWN.forms[0], "slope_V_per_s"),
+    ],
+)
+def test_an_effect_is_put_into_the_posterior_however_it_is_given(
+    small: tuple[bs.Problem, bs.Fit], effect: Any, parameter: str
+) -> None:
+    problem, fit = small
+    start = fit if isinstance(effect, list) else fit.parameters
+    posterior = bs.sample_posterior(
+        problem, start, sampler="independence", settings=QUICK, with_effect=effect
+    )
+    assert posterior.sampler == "independence"
+    assert abs(posterior.mean(parameter)) < 5.0 * posterior.sd(parameter) < 1e-3
+    # its prior is scaled to the fit, as that of the command is
+    flat = problem.layout.flat(fit.theta_hat)
+    assert posterior.problem.given_priors == with_effects(problem, effect, flat).given_priors
+
+
+@pytest.mark.parametrize("effect", [drift, [drift], 3])
+def test_what_is_no_effect_is_told_how_to_become_one(
+    small: tuple[bs.Problem, bs.Fit], effect: Any
+) -> None:
+    with pytest.raises(bs.CampaignError, match=r"with_effect: expected .* bayes_sensor.own_effect"):
+        bs.sample_posterior(*small, with_effect=effect)

@@ -572,30 +572,18 @@ EFFECTS = {
 }
 
 
-@dataclass(frozen=True)
-class Effect:
-    """What a catalogue hands to the sampler."""
-
-    model: Cascade
-    priors: dict[str, Prior]
-
-    def apply(self, problem: Problem) -> Problem:
-        return replace(problem, model=self.model, given_priors=self.priors)
-
-
 @cache
 def with_effect(name: str, sampler: str) -> tuple[Posterior, np.ndarray]:
     model, priors, truth = EFFECTS[name]
     plan = small_design(n=2, interval=5e-3)
-    effect = Effect(model, priors)
     bare = small_theta(plan, 0.5, 0.01, 0.01)
     theta = {**bare, **truth}
-    problem = effect.apply(Problem(plan))
+    problem = Problem(plan, model=model, given_priors=priors)
     campaign = simulate(problem, theta, seed=4)
     # from the cascade's parameters: those of the effect are fitted
     start = Problem(campaign).layout.flat(bare)
     posterior = sample_posterior(
-        campaign, start, seed=2, sampler=sampler, settings=QUICK, with_effect=[effect]
+        replace(problem, campaign=campaign), start, seed=2, sampler=sampler, settings=QUICK
     )
     return posterior, problem.layout.flat(theta)
 

@@ -353,24 +353,71 @@ def parse_effect(text: str, where: str = "effect") -> tuple[str, str | None]:
     return name, form or None
 
 
-def check_effects(texts: Iterable[str], where: str) -> None:
-    """Raise CampaignError unless every ``NAME[:FORM]`` can be put into the model."""
+def chosen_effects(
+    texts: Iterable[str], own: Iterable[Effect], where: str
+) -> dict[str, str | Effect]:
+    """What every ``NAME[:FORM]`` stands for: itself for one of the catalogue, else one of ``own``.
+
+    Raises CampaignError for one that cannot be put into the model, and where none is chosen.
+    """
+    mine = {effect.name: effect for effect in own}
+    chosen: dict[str, str | Effect] = {}
     for text in texts:
+        if text in chosen:
+            raise CampaignError(f"effect {text} is given twice; name it once")
+        if text in mine:
+            find_form(mine[text])
+            chosen[text] = mine[text]
+            continue
         name, form = parse_effect(text, where)
         find_form(CATALOGUE[name], form)
+        chosen[text] = text
+    if not chosen:
+        raise CampaignError(f"{where}: expected one of your own effects: {', '.join(mine)}")
+    return chosen
+
+
+Given = str | Effect | Form
+"""an effect as a user gives it: ``NAME`` or ``NAME:FORM`` of the catalogue, an effect of one's own,
+or one of its forms"""
+
+
+def listed(given: Given | Iterable[Given], where: str) -> list[str | Effect]:
+    """One effect or several, as names and effects.
+
+    Raises CampaignError for what is no effect.
+    """
+    if isinstance(given, Given) or not isinstance(given, Iterable):
+        given = [given]
+    return [_name_or_effect(each, where) for each in given]
+
+
+def _name_or_effect(given: Given, where: str) -> str | Effect:
+    if isinstance(given, str | Effect):
+        return given
+    if not isinstance(given, Form):
+        raise CampaignError(
+            f"{where}: expected a name of the catalogue or an effect of one's own, but got a "
+            f"{type(given).__name__}; make an effect with bayes_sensor.own_effect"
+        )
+    for effect in CATALOGUE.values():
+        if given in effect.forms:
+            return f"{effect.name}:{given.name}" if given.name else effect.name
+    name = given.name or "own"
+    return Effect(name, name, "", {}, "user's own", "", forms=(given,))
 
 
 def with_effects(
     problem: Campaign | Problem,
-    effects: Iterable[str | Effect],
+    effects: Given | Iterable[Given],
     theta: FloatArray | None = None,
     held: Mapping[str, float] | None = None,
 ) -> Problem:
     """The problem with effects in its model and priors on their strengths.
 
-    ``effects``: names (``NAME`` or ``NAME:FORM``) or effects of one's own; ``theta``: flat
-    parameters of a fit that scale the priors.  Where nobody knows whose the lags are, the shorter
-    one is taken for the sensor's.
+    ``effects``: names (``NAME`` or ``NAME:FORM``), effects of one's own or forms, one or several;
+    ``theta``: flat parameters of a fit that scale the priors.  Where nobody knows whose the lags
+    are, the shorter one is taken for the sensor's.
 
     Raises
     ------
@@ -385,9 +432,9 @@ def with_effects(
     elif problem.chain is None:
         raise CampaignError("effects can only be added to the cascade; this problem has a model of "
                             "its own: start from Problem(campaign)")  # fmt: skip
-    for effect in effects:
+    for effect in listed(effects, "effects"):
         name, form = parse_effect(effect) if isinstance(effect, str) else (effect.name, None)
-        own = None if isinstance(effect, str) or name in CATALOGUE else effect
+        own = None if isinstance(effect, str) or effect is CATALOGUE.get(name) else effect
         body = find_form(own or CATALOGUE[name], form)
         if name in [c.effect for c in chosen]:
             raise CampaignError(f"effect {name} is given twice; name it once")
