@@ -32,7 +32,8 @@ from bayes_sensor.diagnosis.unseen_effects import HiddenEffects, hidden_effects
 from bayes_sensor.diagnosis.verdict import NAMED, NAMED_ELSEWHERE, Verdict, explanation_of, judge
 from bayes_sensor.diagnosis.wording import Conclusion, notes, units_of, verdict_sentence
 from bayes_sensor.fit.side_information import without_contradicted
-from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.held_values import refuse_held
+from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.layout import NOISE, Layout, Theta
 from bayes_sensor.workers import one_thread
@@ -64,7 +65,7 @@ def cannot_diagnose(campaign: Campaign) -> str:
 
 @one_thread
 def diagnose_gap(
-    campaign: Campaign,
+    campaign: Campaign | Problem,
     fit: Fit | None = None,
     *,
     seed: int = 1,
@@ -83,7 +84,8 @@ def diagnose_gap(
     Parameters
     ----------
     campaign
-        A measured campaign.
+        A measured campaign, or a Problem.  Of a Problem's own priors and noise law only the fit
+        that is made here knows; the diagnosis takes the noise from the records.
     fit
         Its least-squares fit, under any noise law, by either method, and with any effects beside
         the model: only the parameters of the model without effects are used.  None: the fit is
@@ -109,10 +111,14 @@ def diagnose_gap(
     Raises
     ------
     CampaignError
-        For a design without data, a fit of another campaign, unknown names in ``without``, or
-        records without any quiet stretch to take the noise from.
+        For a design without data, a Problem in which parameters are held, a fit of another
+        campaign, unknown names in ``without``, or records without any quiet stretch to take the
+        noise from.
     """
     tell = progress or (lambda _share, _text: None)
+    problem = as_problem(campaign)
+    refuse_held(problem, "gap")
+    campaign = problem.campaign
     if campaign.is_design:
         raise CampaignError(
             "gap: this is a design without data; expected a measured campaign: give every "
@@ -122,7 +128,7 @@ def diagnose_gap(
     if refused:
         raise CampaignError(f"gap: {refused}")
     catalogue = _catalogue(effects, without)
-    fit = _usable_fit(campaign, fit, seed)
+    fit = _usable_fit(problem, fit, seed)
 
     tell(0.02, "noise floor")
     campaign = without_contradicted(Problem(campaign), fit.side_information).campaign
@@ -200,14 +206,14 @@ def diagnose_gap(
     return gap if binned.order_known else without_lag_names(gap)
 
 
-def _usable_fit(campaign: Campaign, fit: Fit | None, seed: int) -> Fit:
+def _usable_fit(problem: Problem, fit: Fit | None, seed: int) -> Fit:
     """The fit, made where none is given.  Raises CampaignError where it leaves no noise."""
     from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.fit.identifiability import least_noise
 
     if fit is None:
-        fit = fit_least_squares(campaign, seed=seed, euler=False)
-    if fit.cannot_tell and fit.rms <= least_noise(campaign):  # no floor, no misfit
+        fit = fit_least_squares(problem, seed=seed, euler=False)
+    if fit.cannot_tell and fit.rms <= least_noise(problem.campaign):  # no floor, no misfit
         raise CampaignError(f"gap: {fit.cannot_tell}")
     return fit
 

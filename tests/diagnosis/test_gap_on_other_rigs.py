@@ -20,6 +20,7 @@ from bayes_sensor.figures.plot_gap import lag_of
 from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.likelihood.problem_settings import make_problem
 from bayes_sensor.report.gap_words import gap_sentence
 from bayes_sensor.rig.cascade import response
 from bayes_sensor.rig.experiment_kernel import ExperimentKernel
@@ -43,6 +44,18 @@ def diagnosed(rig: str, effect: str = "", strength: float | None = None, seed: i
         campaign, _ = simulate_with_effects(case.design, case.theta, {effect: strength}, seed)
     fit = fit_least_squares(campaign, seed=1)
     return diagnose_gap(campaign, fit, seed=1, bootstrap=0, separate=False)
+
+
+def test_a_problem_is_diagnosed_as_its_campaign_unless_parameters_are_held() -> None:
+    campaign = CASES["filter and sensor"]().simulated()
+    fit = fit_least_squares(campaign, seed=1, swarms=1, euler=False)
+    quick = {"bootstrap": 0, "hidden": False, "separate": False, "follow": False}
+    problem = make_problem(campaign, {"tau_filter": "normal(1.5, 0.1) s"})
+    gap = diagnose_gap(problem, fit, **quick)
+    assert gap.to_json() == diagnose_gap(campaign, fit, **quick).to_json()
+    held = make_problem(campaign, fix={"tau_filter": "1.5 s"})
+    with pytest.raises(CampaignError, match=r"gap: not computed where parameters are held \(tau_f"):
+        diagnose_gap(held, fit, **quick)
 
 
 @pytest.mark.slow
