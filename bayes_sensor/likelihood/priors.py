@@ -14,6 +14,10 @@ from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.display import record_card
 
 
+LEAST_SHARE = 1e-9
+"""of a prior's probability, which must lie where the parameter can be"""
+
+
 @dataclass(frozen=True)
 class Prior:
     """One parameter's prior law: ``kind`` with its two numbers.
@@ -113,6 +117,19 @@ class Prior:
         if self.kind in ("flat", "normal"):
             return -np.inf, np.inf
         return (0.0, np.inf) if self.kind in ("half_normal", "log_normal") else (self.a, self.b)
+
+    def check_within(self, low: float, high: float, where: str) -> None:
+        """Raise CampaignError where the law leaves a parameter from ``low`` to ``high`` nothing.
+
+        ``where``: words that begin the message.
+        """
+        if self.law is None or self.law.cdf(high) - self.law.cdf(low) > LEAST_SHARE:
+            return
+        above = f"above {low:g}" if np.isinf(high) else f"between {low:g} and {high:g}"
+        raise CampaignError(
+            f"{where}: expected a prior with values {above}, which is the range of this parameter, "
+            f"but got {self}; correct its numbers or leave it out"
+        )
 
     def __str__(self) -> str:
         numbers = {"flat": "", "half_normal": f"({self.a:g})"}

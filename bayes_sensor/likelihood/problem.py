@@ -16,7 +16,7 @@ from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.priors import KINDS, Prior
 from bayes_sensor.rig.cascade import Cascade, has_own_mean, method_of_chain
 from bayes_sensor.rig.lags import Assignment, Commuting, Naming, assignments
-from bayes_sensor.rig.layout import Layout, Theta, check_name
+from bayes_sensor.rig.layout import NOISE, Layout, Theta, check_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,13 +123,26 @@ class Problem:
         usual = default_priors(self.campaign, self.layout, self.commuting, faster)
         return {**usual, **self.given_laws}
 
+    def check_prior(self, name: str, law: Prior, where: str) -> None:
+        """Raise CampaignError where a prior allows no value that the parameter ``name`` can have.
+
+        Lags, volumes and sizes of noise are positive; phi lies between -1 and 1, and above 0 where
+        sampling intervals differ.  Parameters of the signal and of a model's own have any value.
+        """
+        kind = name.split("[")[0]
+        if kind == "phi":
+            law.check_within(-1.0 if self.campaign.same_interval else 0.0, 1.0, where)
+        elif kind in NOISE or name in (*self.layout.shared_names, *self.layout.value_names):
+            law.check_within(0.0, np.inf, where)
+
     @cached_property
     def given_laws(self) -> dict[str, Prior]:
         """Those of :attr:`priors` that the user gave, side information included."""
         shared = self.layout.shared_names
         # not when it is made: a problem may be on its way to another model, with its parameters
-        for name in self.given_priors:
+        for name, law in self.given_priors.items():
             check_name(self.layout, name, "Problem.given_priors")
+            self.check_prior(name, law, f"Problem.given_priors: {name}")
         for name in self.held:
             check_name(self.layout, name, "Problem.held")
         given = {name: law for name, law in self.given_priors.items() if name not in shared}

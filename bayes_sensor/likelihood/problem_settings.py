@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_sensor.campaign import Campaign, CampaignError
-from bayes_sensor.likelihood.held_values import held_values
+from bayes_sensor.likelihood.held_values import held_values, key_of
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.prior_text import read_priors
 from bayes_sensor.likelihood.problem import Problem
@@ -43,7 +43,8 @@ def make_problem(
     Raises
     ------
     CampaignError
-        For an unknown name, what is no prior or no value, or ties that make no sense.
+        For an unknown name, what is no prior or no value, a prior that allows no value which the
+        parameter can have, or ties that make no sense.
 
     Examples
     --------
@@ -70,5 +71,7 @@ def make_problem(
     bare = Problem(campaign, noise=law)
     unit = campaign.signal_unit
     given = read_priors(priors or {}, bare.layout, unit, f"{label}: [priors]")
+    for name, prior in given.items():
+        bare.check_prior(name, prior, f"{label}: [priors] {key_of(name)}")
     problem = Problem(campaign, noise=law, given_priors=given)
     return held_values(problem, fix, f"{label}: [fix]") if fix else problem

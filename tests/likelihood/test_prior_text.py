@@ -1,5 +1,6 @@
 """Priors and held values as a user writes them."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +93,29 @@ def test_both_doors_make_the_same_problem(campaign: bs.Campaign, tmp_path: Path)
         ({"V": 60}, "expected a prior, but got a int; write a text such as"),
         ({"V": stats.gamma(2.0)}, "a frozen law of scipy.stats"),
         ({"W": "flat"}, "unknown parameter 'W'"),
+        ({"tau": "uniform(-5, -2) s"}, r"\[priors\] tau: .* values above 0, .* uniform\(-5, -2\)"),
+        ({"V": "normal(-60, 2) mL"}, r"\[priors\] V: expected a prior with values above 0"),
+        ({"sigma0": bs.Prior("uniform", -2.0, -1.0)}, r"\[priors\] sigma0: .* values above 0"),
+        ({"phi": "uniform(2, 3)"}, r"\[priors\] phi: .* values between -1 and 1, which is the"),
     ],
 )
 def test_mistakes_in_priors(campaign: bs.Campaign, priors: dict[str, Any], message: str) -> None:
     with pytest.raises(bs.CampaignError, match=message):
         bs.make_problem(campaign, priors)
+
+
+def test_a_problem_made_by_hand_names_priors_without_support_too(campaign: bs.Campaign) -> None:
+    for name, law in {"phi": ("uniform", 2.0, 3.0), "tau_v_s": ("normal", -1.0, 0.01)}.items():
+        problem = bs.Problem(campaign, given_priors={name: bs.Prior(*law)})
+        with pytest.raises(bs.CampaignError, match=f"Problem.given_priors: {name}: expected a pri"):
+            problem.priors  # noqa: B018
+    # part of a law is enough, and phi may be below 0 only where all intervals are the same
+    assert bs.make_problem(campaign, {"tau": "normal(-0.01, 0.1) s", "phi": "uniform(-0.5, 2)"})
+    (first, *rest) = campaign.experiments
+    other = replace(first, t=2.0 * first.t, interval=2.0 * first.interval)
+    with pytest.raises(bs.CampaignError, match="values between 0 and 1"):
+        mixed = replace(campaign, experiments=(other, *rest))
+        bs.make_problem(mixed, {"phi": "uniform(-0.9, -0.1)"})
 
 
 @pytest.mark.parametrize(
