@@ -44,6 +44,7 @@ __all__ = [
     "SideInformation",
     "Tie",
     "counted",
+    "not_a_campaign",
 ]
 
 ORDERS = ("faster", "slower", "unknown")
@@ -291,3 +292,11 @@ class Campaign:
             for e in self.experiments
         )
         return replace(self, experiments=replaced)
+
+
+def not_a_campaign(given: Any, expected: str = "a Campaign") -> CampaignError:
+    """The error where something else is given."""
+    return CampaignError(
+        f"campaign: expected {expected}, but got a {type(given).__name__}; read a campaign.toml "
+        "with read_campaign, or make one of data in memory with Campaign.from_frames"
+    )

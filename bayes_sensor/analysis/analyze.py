@@ -39,7 +39,7 @@ def analyze(
     settings: Settings | Mapping[str, Any] | None = None,
     config: str | os.PathLike[str] | None = None,
     without: Iterable[str] = (),
-    effects: Iterable[Any] = (),
+    effects: Any = (),
     nominal: Mapping[str, Any] | None = None,
     bootstrap: int = BOOTSTRAP,
     jobs: int = 1,
@@ -109,10 +109,13 @@ def analyze(
     )
     given, overrides = _given(campaign, overrides, priors is not None or noise is not None)
     named = [without] if isinstance(without, str) else list(without)
-    own = [effects] if hasattr(effects, "apply") else list(effects)
+    if effects and not isinstance(effects, Mapping):
+        from bayes_sensor.diagnosis.effects.effect_model import listed
+
+        effects = listed(effects, "analyze: effects")
     options: dict[str, Any] = {} if bootstrap == BOOTSTRAP else {"bootstrap": bootstrap}
     options |= {"without": tuple(named)} if named else {}
-    options |= {"effects": own} if own else {}
+    options |= {"effects": effects} if effects else {}
     options |= {} if nominal is None else {"nominal": nominal}
 
     def bar(name: str) -> AbstractContextManager[Progress]:

@@ -57,11 +57,7 @@ from pydantic_core import PydanticCustomError
 from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.io.toml_text import LARGEST, read_toml
 from bayes_sensor.likelihood import problem_settings
-from bayes_sensor.likelihood.prior_text import (
-    flat_names,
-    prior_of_law,
-    read_value,
-)
+from bayes_sensor.likelihood.prior_text import prior_of_law, read_bounds
 from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Settings
@@ -277,18 +273,6 @@ def fit_bounds(
     problem: Problem, overrides: Overrides, label: str
 ) -> dict[str, tuple[float, float]] | None:
     """Search bounds that were asked for, by flat name."""
-    found: dict[str, tuple[float, float]] = {}
     unit = problem.campaign.signal_unit
-    for key, pair in overrides.fit.bounds.items():
-        where = f"{label}: [fit] bounds {key}"
-        if len(pair) != 2:
-            raise CampaignError(
-                f"{where}: expected low and high, but got {len(pair)} values; "
-                'write for example ["1 ms", "1 s"]'
-            )
-        for name in flat_names(key, problem.layout, where):
-            low, high = (read_value(v, name, unit, where) for v in pair)
-            if not low < high:
-                raise CampaignError(f"{where}: expected low < high, but got {pair}; swap them")
-            found[name] = (low, high)
-    return found or None
+    given = overrides.fit.bounds
+    return read_bounds(given, problem.layout, unit, f"{label}: [fit] bounds") or None

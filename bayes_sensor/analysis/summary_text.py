@@ -9,7 +9,7 @@ import numpy as np
 from bayes_sensor.analysis.findings import Findings
 from bayes_sensor.campaign import counted
 from bayes_sensor.display import shown
-from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.named_values import unit_of
 
 LEAST_CORRELATION = 0.5
 """magnitude from which a correlation is listed"""

@@ -18,6 +18,7 @@ from bayes_sensor.campaign import Campaign, CampaignError
 from bayes_sensor.fit import Fit
 from bayes_sensor.fit.fit_warnings import OF_LAGS
 from bayes_sensor.fit.identifiability import coloured_noise, slow_noise
+from bayes_sensor.fit.least_squares import fit_or_given
 from bayes_sensor.likelihood.held_values import refuse_held
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.lags import Naming
@@ -142,18 +143,21 @@ def with_words(bound: Bound, naming: Naming) -> Bound:
 @one_thread
 def compare_bounds(
     campaign: Campaign | Problem,
-    fit: Fit,
+    fit: Fit | None = None,
     posterior: Any = None,
-    methods: Sequence[str] | Mapping[str, Method] | None = None,
+    methods: str | Sequence[str] | Mapping[str, Method] | None = None,
     seed: int = 1,
     progress: Progress | None = None,
     n_resamples: int = 400,
 ) -> Bounds:
     """Intervals of every parameter at 68, 95 and 99.7 % by every method.
 
-    ``methods``: names out of :data:`METHODS` or another mapping of that shape; default all, the
-    posterior only where one is given.  Methods based on least squares are centred on the fit, those
-    with autocorrelated noise (``crlb_ar1``, ``profile``) on the maximum of that likelihood.
+    ``fit``: that of the campaign; None: it is made here.
+
+    ``methods``: one or several names out of :data:`METHODS`, or another mapping of that shape;
+    default all, the posterior only where one is given.  Methods based on least squares are centred
+    on the fit, those with autocorrelated noise (``crlb_ar1``, ``profile``) on the maximum of that
+    likelihood.
 
     A lag that cannot be assigned is named by its size (``lag_fast_s``, ``lag_slow_s``), and tau or
     tau_v has no value.
@@ -173,15 +177,17 @@ def compare_bounds(
     elif isinstance(methods, Mapping):
         chosen = {k: _record(k, m) for k, m in methods.items()}
     else:
-        unknown = [name for name in methods if name not in METHODS]
+        names = [methods] if isinstance(methods, str) else methods
+        unknown = [name for name in names if name not in METHODS]
         if unknown:
             raise CampaignError(f"no bound method '{unknown[0]}'; there are {', '.join(METHODS)}")
-        chosen = {name: METHODS[name] for name in methods}
+        chosen = {name: METHODS[name] for name in names}
     without = [k for k, m in chosen.items() if m.needs_posterior and posterior is None]
     if without:
         raise CampaignError(f"the method '{without[0]}' needs the posterior; sample it first")
     for e in problem.campaign:
         _ = e.values  # a design has no data to bound
+    fit = fit_or_given(problem, fit, seed, "compare_bounds")
     if fit.cannot_tell:
         raise CampaignError(f"no interval can be given: {fit.cannot_tell}")
     bounds: dict[str, Bound] = {}

@@ -164,7 +164,7 @@ def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any =
     problem = as_problem(campaign)
     refuse_held(problem, "delays")
     campaign = problem.campaign
-    vector = problem.layout.flat(fit.theta_hat)
+    vector = problem.layout.flat(fit)
     everything = None if posterior is not None else _covariance_of_fit(problem, fit, vector)
     lines: list[RegressionLine | None] = []
     for kind, column in (("t0_s", 2), ("tf_s", 3)):

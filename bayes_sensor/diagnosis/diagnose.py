@@ -16,6 +16,7 @@ from bayes_sensor.diagnosis.data.preparation import fit_base, prepare
 from bayes_sensor.diagnosis.discrepancy_posterior import tau_with_discrepancy
 from bayes_sensor.diagnosis.effects import CATALOGUE, check_names
 from bayes_sensor.diagnosis.effects.effect import Effect
+from bayes_sensor.diagnosis.effects.effect_model import listed, parse_effect
 from bayes_sensor.diagnosis.effects.effects_of_rig import Possible
 from bayes_sensor.diagnosis.evidence.compared_hypotheses import Comparison, Hypothesis
 from bayes_sensor.diagnosis.evidence.hypotheses import compare_hypotheses
@@ -70,7 +71,7 @@ def diagnose_gap(
     *,
     seed: int = 1,
     without: Iterable[str] = (),
-    effects: Mapping[str, Effect] | Iterable[Effect] | None = None,
+    effects: Mapping[str, Effect] | Effect | Iterable[Effect] | None = None,
     nominal: Theta | None = None,
     bootstrap: int = BOOTSTRAP,
     jobs: int = 1,
@@ -93,8 +94,8 @@ def diagnose_gap(
     without
         Names of effects to take out of the catalogue.
     effects
-        Further effects of one's own (:func:`bayes_sensor.diagnosis.own_effect`), or a mapping that
-        replaces the catalogue.
+        A further effect of one's own (:func:`bayes_sensor.own_effect`) or several, or a mapping
+        that replaces the catalogue.
     nominal
         Parameters of the simulation before calibration, for the budget.
     bootstrap
@@ -208,11 +209,10 @@ def diagnose_gap(
 
 def _usable_fit(problem: Problem, fit: Fit | None, seed: int) -> Fit:
     """The fit, made where none is given.  Raises CampaignError where it leaves no noise."""
-    from bayes_sensor.fit import fit_least_squares
     from bayes_sensor.fit.identifiability import least_noise
+    from bayes_sensor.fit.least_squares import fit_or_given
 
-    if fit is None:
-        fit = fit_least_squares(problem, seed=seed, euler=False)
+    fit = fit_or_given(problem, fit, seed, "gap")
     if fit.cannot_tell and fit.rms <= least_noise(problem.campaign):  # no floor, no misfit
         raise CampaignError(f"gap: {fit.cannot_tell}")
     return fit
@@ -242,19 +242,21 @@ def _mean_of(campaign: Campaign, fit: Fit) -> FloatArray:
 
 
 def _catalogue(
-    effects: Mapping[str, Effect] | Iterable[Effect] | None, without: Iterable[str]
+    effects: Mapping[str, Effect] | Effect | Iterable[Effect] | None, without: Iterable[str]
 ) -> dict[str, Effect]:
     if isinstance(effects, Mapping):
+        listed(effects.values(), "gap: effects")
         catalogue = dict(effects)
     else:
         catalogue = dict(CATALOGUE)
-        for effect in effects or ():
-            if effect.name in catalogue:
+        for effect in listed(effects or (), "gap: effects"):
+            name = parse_effect(effect)[0] if isinstance(effect, str) else effect.name
+            if isinstance(effect, str) or name in catalogue:
                 raise CampaignError(
-                    f"gap: an effect '{effect.name}' is already in the catalogue; give your own "
+                    f"gap: an effect '{name}' is already in the catalogue; give your own "
                     "another name, or replace the catalogue by a mapping"
                 )
-            catalogue[effect.name] = effect
+            catalogue[name] = effect
     for name in [without] if isinstance(without, str) else without:
         if name not in catalogue:
             check_names([name], "gap: without")

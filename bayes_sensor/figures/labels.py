@@ -133,7 +133,7 @@ def parameter_words(name: str, unit: str = "V") -> tuple[str, str, float]:
         "y0_V": "y₀", "beta_V": "β", "t0_s": "t₀", "tf_s": "t_f",
     }  # fmt: skip
     if kind not in symbols:  # a parameter of an effect
-        from bayes_sensor.rig.layout import UNITS, unit_of
+        from bayes_sensor.rig.named_values import UNITS, unit_of
 
         own = unit_of(kind, unit)
         words = kind.split("_")

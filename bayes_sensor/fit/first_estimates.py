@@ -179,10 +179,7 @@ def initial_bounds(
             raise CampaignError(
                 f"bounds: no parameter '{name}' in the search; there are {', '.join(bounds)}"
             )
-        low, high = (float(value) for value in pair)
-        if not low < high:
-            raise CampaignError(f"bounds of '{name}': expected low < high, got {low} and {high}")
-        bounds[name] = (low, high)
+        bounds[name] = pair
     for name, value in problem.held.items():
         bounds[name] = (value, value)
     # lags stand in their places by size

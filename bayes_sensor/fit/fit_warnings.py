@@ -13,7 +13,8 @@ from bayes_sensor.fit.first_estimates import Look, typical_rise
 from bayes_sensor.fit.identifiability import step_error
 from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.layout import Layout, unit_of
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.named_values import unit_of
 from bayes_sensor.rig.switching import is_switch_time
 
 LAGS_TO_SETTLE = 3.0

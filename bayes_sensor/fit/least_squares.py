@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_sensor.campaign import Campaign, FloatArray
+from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit.caveats import caveats, hiding_interval
 from bayes_sensor.fit.first_estimates import (
     Look,
@@ -30,6 +30,7 @@ from bayes_sensor.fit.search import Box, Counted, Found, on_mesh, search, search
 from bayes_sensor.fit.side_information import named_parameters, weigh_names
 from bayes_sensor.fit.starts import limits
 from bayes_sensor.fit.twin import AS_GOOD
+from bayes_sensor.likelihood.prior_text import read_bounds
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.rig.cascade import Cascade
 from bayes_sensor.rig.lags import Naming
@@ -42,7 +43,7 @@ def fit_least_squares(
     seed: int = 1,
     swarms: int = 3,
     particles: int = 40,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     euler: bool = True,
     de: bool = False,
     progress: Progress | None = None,
@@ -50,8 +51,9 @@ def fit_least_squares(
     """The parameters that minimise the summed squared error over all used samples.
 
     ``swarms`` independent particle swarms of ``particles`` each, then refinement; the same seed
-    gives the same fit.  ``bounds`` (flat name to low, high) replaces search bounds, which
-    otherwise come from the records and the commanded times (``Fit.bounds``).  ``euler`` repeats the
+    gives the same fit.  ``bounds`` replaces search bounds, which otherwise come from the records
+    and the commanded times (``Fit.bounds``): by name, low and high in s, mL and the signal's unit
+    or as texts with units, such as ``{"tau": ("1 ms", "1 s")}``.  ``euler`` repeats the
     fit with forward Euler, ``de`` cross-checks the swarm by scipy's differential evolution.
     ``progress`` is called with a fraction and a word.
 
@@ -69,6 +71,7 @@ def fit_least_squares(
         e.values  # noqa: B018 - raises CampaignError for a design
     tell = progress or (lambda fraction, word: None)
     looks = [first_look(e) for e in problem.campaign]
+    asked = read_bounds(bounds or {}, problem.layout, problem.campaign.signal_unit, "bounds")
     count = Counted()
     exact = replace(problem, model=Cascade())
     plain = problem.chain is not None
@@ -76,8 +79,8 @@ def fit_least_squares(
     def found_in(box: Box) -> Found:
         return search(exact, looks, box, seed, swarms, particles, de, tell, count)
 
-    near, late = initial_bounds(problem, looks, bounds), any(look.late for look in looks)
-    found, box = search_far(exact, near, bounds or {}, late, found_in)
+    near, late = initial_bounds(problem, looks, asked), any(look.late for look in looks)
+    found, box = search_far(exact, near, asked, late, found_in)
     theta, success, record, check, other = found
     theta = volumes_in_order(problem, theta)
     if not plain:
@@ -105,7 +108,7 @@ def fit_least_squares(
     hidden = hiding_interval(problem, vector) if can_tell else None
     warnings = warn(problem, vector, residuals, looks, unit)
     at_bound = at_bounds(problem.layout, vector, box)
-    unseen = unseen_lags(at_bound, vector, problem.layout, box, bounds or {})
+    unseen = unseen_lags(at_bound, vector, problem.layout, box, asked)
     words = {name: label for name, (label, _) in zip(shared, naming.labels, strict=True)}
     warnings += bound_warnings(at_bound, box, vector, problem.layout, unit, words, unseen)
     if not record["agree"]:
@@ -181,6 +184,21 @@ def fit_least_squares(
         misfit=misfit,
         misfit_per_experiment={name: each.ratio for name, each in missed.items()},
     )
+
+
+def fit_or_given(problem: Problem, fit: Any, seed: int, where: str) -> Fit:
+    """The fit that is given, or one made here where that is None.
+
+    Raises CampaignError for anything else.
+    """
+    if fit is None:
+        return fit_least_squares(problem, seed=seed, euler=False)
+    if not isinstance(fit, Fit):
+        raise CampaignError(
+            f"{where}: expected the Fit of this campaign, or None to fit it here, but got a "
+            f"{type(fit).__name__}; give what fit_least_squares returns"
+        )
+    return fit
 
 
 def refit(

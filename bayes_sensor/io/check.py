@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_sensor.campaign import STAGES, BoolArray, Campaign, Experiment, FloatArray
+from bayes_sensor.campaign import (
+    STAGES,
+    BoolArray,
+    Campaign,
+    Experiment,
+    FloatArray,
+    not_a_campaign,
+)
 from bayes_sensor.io.step_remarks import step_remarks
 
 if TYPE_CHECKING:
@@ -59,6 +66,8 @@ def check_campaign(campaign: Campaign) -> pd.DataFrame:
     """
     import pandas as pd  # slow to import
 
+    if not isinstance(campaign, Campaign):
+        raise not_a_campaign(campaign)
     return pd.DataFrame(campaign_rows(campaign))
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.likelihood.prior_text import flat_names, read_value
 from bayes_sensor.likelihood.problem import Problem
-from bayes_sensor.rig.layout import NOISE, unit_of
+from bayes_sensor.rig.layout import NOISE
+from bayes_sensor.rig.named_values import unit_of
 
 _FREE = ("y0_V", "beta_V", *NOISE)
 """kinds of parameters that cannot be held"""

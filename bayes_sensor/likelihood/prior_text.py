@@ -18,7 +18,8 @@ from bayes_sensor.io.readers.quantities import (
     read_spread,
 )
 from bayes_sensor.likelihood.priors import Prior
-from bayes_sensor.rig.layout import Layout, unit_of
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.named_values import unit_of
 
 _KINDS = ("half-normal", "log-normal", "normal", "uniform", "log-uniform", "flat")
 _CALL = re.compile(r"\s*([A-Za-z_-]+)\s*(?:\(([^()]*)\))?\s*(\S.*)?", re.DOTALL)
@@ -140,6 +141,36 @@ def read_prior(text: str, name: str, unit: str, where: str) -> Prior:
             f"{where}: expected positive numbers, but got '{text[:80]}'; correct it"
         )
     return Prior(law.replace("-", "_"), *values)
+
+
+def read_bounds(
+    given: Mapping[str, Any], layout: Layout, unit: str, where: str
+) -> dict[str, tuple[float, float]]:
+    """Search bounds by flat name, from pairs of numbers or of texts with units.
+
+    Keys as of :func:`read_priors`; numbers are in s, mL and the signal's ``unit``.
+
+    Raises
+    ------
+    CampaignError
+        For an unknown name, and for anything but a low value and a high one.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for key, pair in given.items():
+        here = f"{where} {key}"
+        if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2:
+            raise CampaignError(
+                f"{here}: expected low and high, but got {str(pair)[:80]}; "
+                'write for example ["1 ms", "1 s"]'
+            )
+        for name in flat_names(str(key), layout, here):
+            low, high = (read_value(v, name, unit, here) for v in pair)
+            if not low < high:
+                raise CampaignError(
+                    f"{here}: expected low < high, but got {str(pair)[:80]}; swap them"
+                )
+            found[name] = (low, high)
+    return found
 
 
 def prior_of_law(value: Any) -> Prior | None:

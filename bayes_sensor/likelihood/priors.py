@@ -13,7 +13,6 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.display import record_card
 
-
 LEAST_SHARE = 1e-9
 """of a prior's probability, which must lie where the parameter can be"""
 

@@ -9,7 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.campaign import Campaign, CampaignError, Experiment, FloatArray
+from bayes_sensor.campaign import (
+    Campaign,
+    CampaignError,
+    Experiment,
+    FloatArray,
+    not_a_campaign,
+)
 from bayes_sensor.display import record_card
 from bayes_sensor.likelihood.default_priors import default_priors
 from bayes_sensor.likelihood.noise import Noise
@@ -334,5 +340,12 @@ class Problem:
 
 
 def as_problem(campaign: Campaign | Problem) -> Problem:
-    """A Problem with the default model and noise where a campaign is given."""
-    return campaign if isinstance(campaign, Problem) else Problem(campaign)
+    """A Problem with the default model and noise where a campaign is given.
+
+    Raises CampaignError for anything else.
+    """
+    if isinstance(campaign, Campaign):
+        return Problem(campaign)
+    if not isinstance(campaign, Problem):
+        raise not_a_campaign(campaign, "a Campaign or a Problem")
+    return campaign

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_sensor.campaign import Campaign, CampaignError
+from bayes_sensor.campaign import Campaign, not_a_campaign
+from bayes_sensor.io.given_options import record_of
 from bayes_sensor.likelihood.held_values import held_values, key_of
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.prior_text import read_priors
@@ -57,14 +58,8 @@ def make_problem(
     {'V_mL': Prior(kind='normal', a=60.0, b=2.0)}
     """
     if not isinstance(campaign, Campaign):
-        raise CampaignError(
-            f"{label}: expected a Campaign, but got a {type(campaign).__name__}; read it with "
-            "read_campaign, or make it with Campaign.from_frames"
-        )
-    try:
-        law = noise if isinstance(noise, Noise) else Noise(**(noise or {}))
-    except TypeError as error:
-        raise CampaignError(f"{label}: noise: {error}; expected the options of Noise") from None
+        raise not_a_campaign(campaign)
+    law = record_of(Noise, noise, f"{label}: noise")
     if tie:
         texts = {**tie_texts(campaign.ties), **tie}
         campaign = tie_parameters(campaign, texts, f"{label}: [tie]")

@@ -14,7 +14,7 @@ from bayes_sensor.display import card
 from bayes_sensor.io.json_files import plain
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT
 from bayes_sensor.rig.lags import LAG_NAMES
-from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.named_values import unit_of
 from bayes_sensor.rig.response_times import response_times
 
 if TYPE_CHECKING:

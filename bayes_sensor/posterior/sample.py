@@ -16,6 +16,7 @@ from bayes_sensor.fit import Fit, fit_least_squares, refit
 from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.identifiability import cannot_tell
 from bayes_sensor.fit.side_information import without_contradicted
+from bayes_sensor.io.given_options import record_of
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.posterior.agreement import Agreement, r_hat_between
 from bayes_sensor.posterior.convergence import MESH_ERROR_LIMIT, diagnose
@@ -33,7 +34,8 @@ from bayes_sensor.posterior.samplers import (
 from bayes_sensor.posterior.settings import Progress, Settings
 from bayes_sensor.posterior.valve_manifold_swap import flow_of_both, likelier_order
 from bayes_sensor.residuals import noise_doubt
-from bayes_sensor.rig.layout import Layout, by_flat_name
+from bayes_sensor.rig.layout import Layout
+from bayes_sensor.rig.named_values import by_flat_name
 from bayes_sensor.workers import one_thread
 
 MESHES = 3
@@ -46,7 +48,7 @@ def sample_posterior(
     fit: Any = None,
     seed: int = 1,
     sampler: str = DEFAULT,
-    settings: Settings | None = None,
+    settings: Settings | Mapping[str, Any] | None = None,
     jobs: int = 1,
     checkpoint: str | Path | None = None,
     resume: bool = False,
@@ -64,6 +66,8 @@ def sample_posterior(
         fitted from there.  A Fit of another model is replaced by one of this.
     sampler
         a key of :data:`SAMPLERS`; :mod:`bayes_sensor.posterior` describes each.
+    settings
+        a :class:`Settings`, or its options by name: ``{"n_draws": 100}``.
     jobs
         processes for emcee's ensembles; the numbers do not depend on it.
     checkpoint, resume
@@ -92,7 +96,7 @@ def sample_posterior(
             fit = fit_least_squares(problem, seed=seed, euler=False)
         problem = _with_effects(problem, with_effect, getattr(fit, "theta_hat", fit))
     found = _sampled(
-        problem, fit, seed, _replaced, SAMPLERS[sampler], settings or Settings(), jobs,
+        problem, fit, seed, _replaced, SAMPLERS[sampler], settings, jobs,
         None if checkpoint is None else Path(checkpoint), resume, progress, begin,
     )  # fmt: skip
     assert found is not None  # the last of the samplers takes anything
@@ -104,7 +108,7 @@ def fast_posterior(
     campaign: Campaign | Problem,
     fit: Any = None,
     seed: int = 1,
-    settings: Settings | None = None,
+    settings: Settings | Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Posterior | None:
     """Draws by independence Metropolis, else by Hamiltonian Monte Carlo; None where both were given
@@ -113,8 +117,7 @@ def fast_posterior(
     Parameters and errors as of :func:`sample_posterior`, which then takes emcee.
     """
     return _sampled(
-        as_problem(campaign), fit, seed, _fast, SAMPLERS[FASTEST], settings or Settings(),
-        progress=progress,
+        as_problem(campaign), fit, seed, _fast, SAMPLERS[FASTEST], settings, progress=progress,
     )  # fmt: skip
 
 
@@ -124,7 +127,7 @@ def _sampled(
     seed: int,
     run_by: Callable[[Sampler, Target], tuple[str, Run, list[str]]],
     chosen: Sampler,
-    settings: Settings,
+    given: Settings | Mapping[str, Any] | None,
     jobs: int = 1,
     checkpoint: Path | None = None,
     resume: bool = False,
@@ -133,6 +136,7 @@ def _sampled(
 ) -> Posterior | None:
     """The posterior as ``run_by`` draws it; None where that draws nothing good."""
     started = perf_counter()
+    settings = record_of(Settings, given, "settings")
     if problem.campaign.is_design:
         raise CampaignError("a design has no data to condition on; simulate or measure it first")
     report = progress or (lambda fraction, text: None)

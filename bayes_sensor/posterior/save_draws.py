@@ -15,7 +15,7 @@ from bayes_sensor.likelihood.noise import scale_squared
 from bayes_sensor.posterior import inference_data as idata
 from bayes_sensor.posterior.draws import Draws
 from bayes_sensor.rig.lags import LAG_NAMES
-from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.named_values import unit_of
 from bayes_sensor.rig.switching import is_switch_time
 
 LARGEST = 1e100

@@ -29,7 +29,7 @@ from bayes_sensor.likelihood.prior_density import log_priors
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import inference_data as idata
 from bayes_sensor.posterior.posterior import Posterior
-from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.named_values import unit_of
 
 FORGOTTEN = 0.05
 """autocorrelation below which noise counts as forgotten"""

@@ -81,7 +81,7 @@ def diagnose_residuals(
     """
     problem = as_problem(campaign)
     campaign, layout = problem.campaign, problem.layout
-    vector = layout.flat(fit.theta_hat)
+    vector = layout.flat(fit)
     noise = FittedNoise.of(problem, vector)
     h = campaign.reference_interval
     r, z, white = (noise.joined(name) for name in ("r", "z", "e"))

@@ -7,18 +7,34 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isclose
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.campaign import STAGES, Campaign, CampaignError, FloatArray, Tie
+from bayes_sensor.campaign import (
+    STAGES,
+    Campaign,
+    CampaignError,
+    FloatArray,
+    Tie,
+    not_a_campaign,
+)
 from bayes_sensor.display import record_card
+from bayes_sensor.rig.named_values import by_flat_name, number_of
 from bayes_sensor.rig.rig import PUBLISHED, Rig
 from bayes_sensor.rig.switching import Switching
 
-Theta = Mapping[str, Any] | Sequence[float] | FloatArray
-"""Parameters as the nested mapping of ``fit.json`` or as the flat array of :class:`Layout`."""
+
+class Fitted(Protocol):
+    """What is needed of a fit."""
+
+    theta_hat: FloatArray
+
+
+Theta = Mapping[str, Any] | Sequence[float] | FloatArray | Fitted
+"""Parameters as the nested mapping of ``fit.json``, as the flat array of :class:`Layout`, or as a
+:class:`bayes_sensor.Fit`."""
 
 SHARED = PUBLISHED.names
 
@@ -28,27 +44,6 @@ NOISE = ("phi", "sigma0_V", "sigma1_V")
 
 BESIDE = ("signal_unit", "effects")
 """what a ``truth.json`` holds beside parameters"""
-
-UNITS = {
-    "s": "s", "ms": "ms", "V": "V", "V2": "V^2", "mL": "mL", "Hz": "Hz", "K": "K", "s2": "s^2",
-}  # fmt: skip
-"""at the end of a flat name"""
-
-
-def unit_of(name: str, signal_unit: str) -> str:
-    """The unit at the end of a flat name.
-
-    >>> [unit_of(name, "V") for name in ("tau_s", "drift_V_per_s", "closing_ratio")]
-    ['s', 'V/s', '1']
-    """
-    words = name.split("_")[1:]
-    if not words or words[-1] not in UNITS:
-        return "1"
-    below = UNITS[words[-1]].replace("V", signal_unit)
-    if len(words) > 1 and words[-2] == "per":
-        above = UNITS.get(words[-3], "1") if len(words) > 2 else "1"
-        return f"{above.replace('V', signal_unit)}/{below}"
-    return below
 
 
 @dataclass(frozen=True)
@@ -100,6 +95,8 @@ class Layout:
 
         Raises CampaignError where stages are not known, a flow that they need is missing.
         """
+        if not isinstance(campaign, Campaign):
+            raise not_a_campaign(campaign)
         rig = PUBLISHED if campaign.stages == STAGES else Rig.parse(campaign.stages)
         if rig.needs_flow:
             for e in campaign:
@@ -339,7 +336,7 @@ class Layout:
         return found
 
     def flat(self, theta: Theta) -> FloatArray:
-        """The flat vector (n,) of a mapping or of a vector with or without its noise part.
+        """The flat vector (n,) of a mapping, a fit, or a vector with or without its noise part.
 
         A vector without noise parameters, or a mapping without them, gets phi 0, sigma1 0 and
         sigma0 nan, so that a mean can be computed but a likelihood cannot.  A mapping may also hold
@@ -349,11 +346,20 @@ class Layout:
         Raises
         ------
         CampaignError
-            If the length is wrong, or the mapping lacks a parameter or holds an unknown one.
+            If the length is wrong, the mapping lacks a parameter or holds an unknown one, or a
+            value is no number.
         """
         if isinstance(theta, Mapping):
             return self._flat_of_mapping(theta)
-        vector = np.array(theta, dtype=float)
+        try:
+            vector = np.array(getattr(theta, "theta_hat", theta), dtype=float)
+        except (TypeError, ValueError):
+            vector = np.array(np.nan)
+        if not vector.ndim:
+            raise CampaignError(
+                "theta: expected a Fit, a mapping by name as Fit.parameters is, or a vector of "
+                f"{len(self)} numbers, but got a {type(theta).__name__}; give one of them"
+            )
         if vector.shape == (len(self),):
             return vector
         if vector.shape == (self.n_mean,) and not self.extra:
@@ -369,7 +375,7 @@ class Layout:
     def _flat_of_mapping(self, theta: Mapping[str, Any]) -> FloatArray:
         found = by_flat_name(theta)
         if found.keys() == self._positions.keys():  # the usual case, once per evaluation
-            vector = np.array([found[name] for name in self._names], dtype=float)
+            vector = np.array([number_of(found[name], name) for name in self._names])
             if not np.isnan(vector).any():
                 return vector
         vector = np.concatenate(
@@ -379,7 +385,7 @@ class Layout:
             # a shared noise value also serves a layout with noise per experiment or sensor
             value = found.get(name, found.get(name.split("[")[0]) if name[:3] in _NOISE3 else None)
             if value is not None:
-                vector[position] = float(value)
+                vector[position] = number_of(value, name)
         missing = [n for n in self.mean_names + list(self.extra) if np.isnan(vector[self.index(n)])]
         if missing:
             raise CampaignError(
@@ -434,18 +440,6 @@ class Layout:
             else:
                 result[name] = float(vector[self.index(name)])
         return result
-
-
-def by_flat_name(theta: Mapping[str, Any]) -> dict[str, Any]:
-    """The nested mapping of ``fit.json`` by flat name.
-
-    >>> by_flat_name({"tau_s": 0.05, "experiments": {"1": {"t0_s": 5.0}}})
-    {'tau_s': 0.05, 't0_s[1]': 5.0}
-    """
-    found = dict(theta)
-    for name, values in found.pop("experiments", {}).items():
-        found.update({f"{kind}[{name}]": value for kind, value in values.items()})
-    return found
 
 
 _NOISE3 = {name[:3] for name in NOISE}

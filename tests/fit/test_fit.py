@@ -447,7 +447,7 @@ def test_what_is_warned_of_does_not_depend_on_the_clock():
 
 
 def test_given_bounds_are_kept_and_reported(measured):
-    found = fit_least_squares(measured, bounds={"V_mL": (60.0, 80.0)}, swarms=1, euler=False)
+    found = fit_least_squares(measured, bounds={"V": ("60 mL", 80.0)}, swarms=1, euler=False)
     assert found.bounds["V_mL"] == (60.0, 80.0)
     assert found.theta_hat[2] == pytest.approx(60.0, abs=1e-3)
     assert "V_mL" in found.at_bound and any("V_mL" in sentence for sentence in found.warnings)
@@ -455,7 +455,13 @@ def test_given_bounds_are_kept_and_reported(measured):
 
 @pytest.mark.parametrize(
     ("bounds", "message"),
-    [({"V": (1.0, 2.0)}, "no parameter 'V'"), ({"V_mL": (2.0, 1.0)}, "low < high")],
+    [
+        ({"W": (1.0, 2.0)}, "unknown parameter 'W'"),
+        ({"phi": (0, 1)}, "no parameter 'phi' in the"),
+        ({"tau_s": "1 s"}, "tau_s: expected low and high, but got 1 s; write"),
+        ({"t0": (1.0, "1 mL")}, "bounds t0: expected a time"),
+        ({"V_mL": (2.0, 1.0)}, "low < high"),
+    ],
 )
 def test_bad_bounds_are_errors(measured, bounds, message):
     with pytest.raises(CampaignError, match=message):

@@ -13,7 +13,7 @@ from bayes_sensor.campaign import CampaignError, SideInformation
 from bayes_sensor.io.array_archive import load_archive, save_archive
 from bayes_sensor.io.record_archive import load_record, save_record
 from bayes_sensor.likelihood.noise import Noise
-from bayes_sensor.rig.layout import unit_of
+from bayes_sensor.rig.named_values import unit_of
 from tests.support.campaigns import paper_design, small_problem
 
 

@@ -113,8 +113,8 @@ def test_a_problem_made_by_hand_names_priors_without_support_too(campaign: bs.Ca
     assert bs.make_problem(campaign, {"tau": "normal(-0.01, 0.1) s", "phi": "uniform(-0.5, 2)"})
     (first, *rest) = campaign.experiments
     other = replace(first, t=2.0 * first.t, interval=2.0 * first.interval)
+    mixed = replace(campaign, experiments=(other, *rest))
     with pytest.raises(bs.CampaignError, match="values between 0 and 1"):
-        mixed = replace(campaign, experiments=(other, *rest))
         bs.make_problem(mixed, {"phi": "uniform(-0.9, -0.1)"})
 
 
