@@ -81,16 +81,9 @@ def known_objects(part: str, campaign: Campaign) -> dict[str, Any]:
     """Objects by name that reader and writer both have: the data; effects and signals."""
     known: dict[str, Any] = {"experiments": campaign.experiments}
     if part == "gap":
-        from bayes_sensor.diagnosis.effects import CATALOGUE
-        from bayes_sensor.diagnosis.signals import SIGNALS
+        from bayes_sensor.diagnosis.catalogue_objects import catalogue_objects
 
-        known |= {f"effect {name}": effect for name, effect in CATALOGUE.items()}
-        # of an effect that a rig has in some of its forms, or under other words, these are the same
-        for name, effect in CATALOGUE.items():
-            known |= {f"form {i} of {name}": form for i, form in enumerate(effect.forms)}
-            if effect.on_noise is not None:
-                known[f"noise of {name}"] = effect.on_noise
-        known |= {f"signal {signal.name}": signal for signal in SIGNALS}
+        known |= catalogue_objects()
     return known
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import bayes_sensor as bs
@@ -94,3 +96,22 @@ def test_what_is_no_effect_is_told_how_to_become_one(
 ) -> None:
     with pytest.raises(bs.CampaignError, match=r"with_effect: expected .* bayes_sensor.own_effect"):
         bs.sample_posterior(*small, with_effect=effect)
+
+
+def test_results_go_to_another_process_and_back(small: tuple[bs.Problem, bs.Fit]) -> None:
+    problem, fit = small
+    posterior = bs.sample_posterior(
+        problem, fit, sampler="independence", settings=QUICK, with_effect=[OWN, "gain_drift"]
+    )
+    copy = pickle.loads(pickle.dumps(posterior))
+    np.testing.assert_array_equal(copy.chains, posterior.chains)
+    theta = posterior.draws[0]
+    assert bs.log_likelihood(copy.problem, theta) == bs.log_likelihood(posterior.problem, theta)
+    bounds = bs.compare_bounds(problem, fit, methods=["crlb_iid", "profile"])
+    assert pickle.loads(pickle.dumps(bounds)).to_json() == bounds.to_json()
+    gap = bs.diagnose_gap(problem, fit, effects=OWN, bootstrap=0, separate=False, hidden=False)
+    back = pickle.loads(pickle.dumps(gap))
+    assert back.to_json() == gap.to_json()
+    # what is told by identity stays what it is
+    mine = CATALOGUE["flow_switching"], CATALOGUE["mains_pickup"].on_noise
+    assert all(pickle.loads(pickle.dumps(each)) is each for each in mine)

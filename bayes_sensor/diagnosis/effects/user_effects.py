@@ -13,6 +13,7 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.diagnosis.effects.effect import Effect, Form, Strength
 from bayes_sensor.diagnosis.effects.rig_view import RigView
+from bayes_sensor.diagnosis.effects.setting import Setting
 
 NEAR = 3.0
 """spreads from the centre within which an effect of one's own must have a mean"""
@@ -65,8 +66,8 @@ def own_effect(
     for where, given in (("plausible", plausible), *(("starts", start) for start in begun)):
         _check_strengths(name, where, given, fixed)
     form = Form(
-        strengths=lambda _: fixed,
-        settings=lambda _values, _setting: {},
+        strengths=_Fixed(fixed),
+        settings=_no_settings,
         starts=begun,
         mean=_Checked(name, fixed, mean),
     )
@@ -79,6 +80,20 @@ def own_effect(
         reference=reference,
         reveal="an experiment in which this effect is switched off",
     )
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """The same strengths for every campaign; a function would not go to another process."""
+
+    strengths: tuple[Strength, ...]
+
+    def __call__(self, setting: Setting) -> tuple[Strength, ...]:
+        return self.strengths
+
+
+def _no_settings(values: Mapping[str, float], setting: Setting) -> Mapping[str, float]:
+    return {}
 
 
 def _default_starts(strengths: Sequence[Strength]) -> tuple[Mapping[str, float], ...]:
