@@ -196,6 +196,7 @@ def read_overrides(
         If the file cannot be read, or a key or a value in it is not known.
     """
     tables: dict[str, Any] = {}
+    called = label
     if path is not None:
         label = path.name or str(path)
         tables = _read(path, label)
@@ -215,7 +216,7 @@ def read_overrides(
     try:
         return Overrides.model_validate(tables)
     except ValidationError as error:
-        raise CampaignError(_first_problem(error, label, given)) from None
+        raise CampaignError(_first_problem(error, label, given, called)) from None
 
 
 def _read(path: Path, label: str) -> dict[str, Any]:
@@ -234,7 +235,9 @@ def _read(path: Path, label: str) -> dict[str, Any]:
     return read_toml(content, label, "settings")
 
 
-def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any]) -> str:
+def _first_problem(
+    error: ValidationError, label: str, given: Mapping[str, Any], called: str
+) -> str:
     problems = error.errors(include_url=False)
     first = min(problems, key=lambda p: p["type"] != "extra_forbidden")
     place = [str(part) for part in first["loc"]]
@@ -252,9 +255,11 @@ def _first_problem(error: ValidationError, label: str, given: Mapping[str, Any])
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
         hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"
         return f"{where}unknown key '{key[:80]}'; expected one that is known: {hint}"
-    if table == "posterior" and key in given:
+    if table == "posterior" and key in given and called.startswith("--"):
         option = {"n_walkers": "walkers", "max_steps": "steps", "n_chains": "chains"}
         where, key = "", f"--{option.get(key, key)}"
+    elif table == "posterior" and key in given:
+        where = f"{called}: " if key == "sampler" else f"{called}: settings: "
     value = f"'{first['input']}'" if isinstance(first["input"], str) else str(first["input"])
     message = first["msg"].removeprefix("Input ").replace("should be", "expected")
     return f"{where}{key}: {message}, but got {value[:80]}; correct it"

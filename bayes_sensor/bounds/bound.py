@@ -72,10 +72,16 @@ class Bound:
         """
         keys = list(LEVELS)
         key = level if isinstance(level, str) else f"{1000 * level:.0f}".rstrip("0")
-        if name not in self.names or key not in keys:
-            raise KeyError(f"{self.method}: no interval of '{name}' at level '{level}'")
+        if key not in keys:
+            raise KeyError(f"{self.method}: no level '{level}'; there are {', '.join(keys)}")
+        if name not in self.names:
+            raise KeyError(f"{self.method}: no parameter '{name}'; there are {self._known}")
         i, j = self.names.index(name), keys.index(key)
         return float(self.low[i, j]), float(self.high[i, j])
+
+    @property
+    def _known(self) -> str:
+        return ", ".join(self.names)
 
     @property
     def intervals(self) -> dict[str, dict[str, tuple[float, float]]]:
@@ -84,6 +90,8 @@ class Bound:
 
     def row(self, name: str) -> dict[str, float]:
         """The eight numbers of one parameter by their JSON keys; nan for no value."""
+        if name not in self.names:
+            raise KeyError(f"{self.method}: no parameter '{name}'; there are {self._known}")
         i = self.names.index(name)
         values = [self.estimate[i], self.sd[i]]
         for j in range(len(LEVELS)):

@@ -53,7 +53,9 @@ class CramerRao:
         return np.sqrt(np.diag(self.cov))
 
     def __getitem__(self, name: str) -> float:
-        """sd of one parameter."""
+        """sd of one parameter.  Raises KeyError naming the known ones."""
+        if name not in self.names:
+            raise KeyError(f"no parameter '{name}'; there are {', '.join(self.names)}")
         return float(self.sd[self.names.index(name)])
 
 

@@ -121,7 +121,7 @@ def _lags(
     flow = _flow(wanted.flow)
     if source is None:
         read_overrides(wanted.config)  # a mistake in it is refused, though nothing of it acts
-        return stated_lags(wanted.lag or (), wanted.seed), 0, {}
+        return stated_lags(wanted.lag or (), wanted.seed, "--lag"), 0, {}
     if source.is_dir():
         read_overrides(wanted.config)
         path = source / "posterior.nc"

@@ -63,9 +63,7 @@ def flat_names(key: str, layout: Layout, where: str) -> list[str]:
     known = sorted({_UNIT.sub("", n.split("[")[0]) for n in layout.names})
     close = difflib.get_close_matches(key, [k for k in short if "_" not in k[-3:]], n=1, cutoff=0.5)
     hint = f'write "{close[0]}"' if close else f"known are {', '.join(known)}"
-    raise CampaignError(
-        f"{where}: unknown parameter '{key[:80]}'; expected one to be known: {hint}"
-    )
+    raise CampaignError(f"{where}: unknown parameter '{key[:80]}'; {hint}")
 
 
 def read_value(text: str | float, name: str, unit: str, where: str) -> float:
@@ -132,6 +130,14 @@ def read_prior(text: str, name: str, unit: str, where: str) -> Prior:
             )
         units = (kind, second)
         parts = [p if k is None else f"{p} {match[3]}" for p, k in zip(parts, units, strict=False)]
+    bare = [p for p, k in zip(parts, (kind, second), strict=False) if k and _NUMBER.fullmatch(p)]
+    if kind is not None and bare:
+        unit = kind.example.split()[-1]
+        meant = ", ".join(f"{part} {unit}" if part in bare else part for part in parts)
+        raise CampaignError(
+            f"{where}: expected {kind.name} with its unit, but got '{bare[0]}' in '{text[:80]}'; "
+            f'add the unit that is meant, as in "{match[1]}({meant})"'
+        )
     values = [_value(p, k, where) for p, k in zip(parts, (kind, second), strict=False)]
     if law in ("uniform", "log-uniform") and not values[0] < values[1]:
         raise CampaignError(f"{where}: expected low < high, but got '{text[:80]}'; swap them")

@@ -63,27 +63,28 @@ class LagDraws:
         return np.asarray(np.maximum(found, least))
 
 
-def stated_lags(texts: str | Sequence[str], seed: int = 1) -> LagDraws:
+def stated_lags(texts: str | Sequence[str], seed: int = 1, label: str = "lags") -> LagDraws:
     """Draws of lags such as ``"40 +- 2 min"``; without ``+-`` a lag is taken as known.
 
-    A lag is positive: the draws are log-normal of that mean and standard deviation.
+    A lag is positive: the draws are log-normal of that mean and standard deviation.  ``label``:
+    what messages call them.
 
     >>> stated_lags("40 +- 2 min").draws.mean().round(-1)
     np.float64(2400.0)
     """
     texts = [texts] if isinstance(texts, str) else list(texts)
     if not texts:
-        raise CampaignError('--lag: expected at least one lag; give --lag "40 +- 2 min"')
+        raise CampaignError(f'{label}: expected at least one lag; give {label} "40 +- 2 min"')
     rng = np.random.default_rng(seed)
     columns = []
     for text in texts:
-        mean, sd = _spread(text)
+        mean, sd = _spread(text, label)
         if sd == 0.0:
             columns.append(np.full(N_STATED, mean))
             continue
         if mean - 2.0 * sd <= 0.0:
             raise CampaignError(
-                f"--lag: '{text}' may be zero: an upper limit restores nothing; give a lag that "
+                f"{label}: '{text}' may be zero: an upper limit restores nothing; give a lag that "
                 "was measured to better than half of its size"
             )
         width = np.sqrt(np.log1p((sd / mean) ** 2))
@@ -91,21 +92,21 @@ def stated_lags(texts: str | Sequence[str], seed: int = 1) -> LagDraws:
     return LagDraws(np.stack(columns, axis=1), f"stated lags ({', '.join(texts)})")
 
 
-def _spread(text: Any) -> tuple[float, float]:
+def _spread(text: Any, label: str) -> tuple[float, float]:
     if isinstance(text, str) and text.strip().startswith("<"):
         raise CampaignError(
-            f"--lag: '{text[:60]}' is an upper limit, which restores nothing; expected a measured "
-            'lag such as "40 +- 2 min"'
+            f"{label}: '{text[:60]}' is an upper limit, which restores nothing; expected a "
+            'measured lag such as "40 +- 2 min"'
         )
     if isinstance(text, str) and not any(mark in text for mark in ("+-", "+/-", "±")):
-        mean = read_quantity(text, LAG, "--lag")
+        mean = read_quantity(text, LAG, label)
         if mean <= 0.0:
             raise CampaignError(
-                f"--lag: expected a positive lag, but got '{text}'; give one such as "
+                f"{label}: expected a positive lag, but got '{text}'; give one such as "
                 f'"{LAG.example}"'
             )
         return mean, 0.0
-    return read_spread(text, LAG, "--lag")
+    return read_spread(text, LAG, label)
 
 
 def posterior_lags(

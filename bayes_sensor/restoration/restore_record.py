@@ -220,7 +220,7 @@ def _check(record: Record, lags: LagDraws) -> None:
     if not seen.std() > 1e-14 * np.abs(seen).max():
         raise CampaignError(
             f"{record.source}: every sample is {seen[0]:.6g}; expected a signal that changes: "
-            "choose the sensor's column with --signal"
+            "choose the sensor's column (signal)"
         )
     interval, slowest = float(np.median(np.diff(record.t))), float(np.median(lags.draws.max(1)))
     if slowest < 0.5 * interval:

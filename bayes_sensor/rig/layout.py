@@ -454,14 +454,15 @@ def check_name(layout: Layout, name: str, where: str) -> None:
         return
     if kind in (*LOCAL, *layout.switch_kinds, *own) and rest.endswith("]"):
         return
+    own_kinds = (*LOCAL[:2], *layout.switch_kinds)
     known = [
         *layout.shared_names,
-        *LOCAL,
+        *own_kinds,
         *NOISE,
         *dict.fromkeys(n.split("[")[0] for n in layout.extra),
     ]
     close = difflib.get_close_matches(kind, known, n=1)
-    if kind in LOCAL:
+    if kind in own_kinds:
         hint = f"write '{kind}[{layout.experiments[0]}]' and the like, one for each experiment"
     elif close and close[0] != kind:
         hint = f"did you mean '{close[0]}{bracket}{rest}'?"

@@ -811,7 +811,7 @@ def test_compare_refuses_what_it_cannot_do(small):
         compare_bounds(small_design(), small.fit)
     with pytest.raises(CampaignError, match="fit this campaign"):
         compare_bounds(small.campaign.without("e0"), small.fit)
-    with pytest.raises(KeyError, match="no interval"):
+    with pytest.raises(KeyError, match="no level '90'; there are 68, 95, 997"):
         small.bounds["crlb_iid"].interval("V_mL", "90")
 
 

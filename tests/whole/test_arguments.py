@@ -131,3 +131,53 @@ def test_what_is_no_effect_stops_a_diagnosis_before_it_begins(fit: bs.Fit) -> No
     quick = {"bootstrap": 0, "hidden": False, "separate": False, "follow": False}
     gap = bs.diagnose_gap(PROBE, fit, effects=own, **quick)
     assert "sink" in {row["effect"] for row in gap.to_json()["which"]}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sampler": "nuts"}, "analyze: sampler: expected 'emcee', 'independence' or 'hmc', but"),
+        ({"settings": {"n_chains": 1}}, "analyze: settings: n_chains: expected greater"),
+        ({"noise": {"varience": "signal"}}, r"\[noise\] unknown key 'varience'; .*\"variance\""),
+        ({"priors": {"tau": "normal(4, 1)"}}, r"tau: expected a time .* \"normal\(4 ms, 1 ms\)\"$"),
+        ({"priors": {"Z": "flat"}}, "unknown parameter 'Z'; known are beta, phi, sigma0, sigma1"),
+        ({"fix": {"t0": "20"}}, r"\[fix\] t0: expected .* that is meant, as in t0 = \"20 ms\"$"),
+    ],
+)  # fmt: skip
+def test_slips_in_analyze_are_named_as_python_has_them(given: Any, message: str) -> None:
+    with pytest.raises(bs.CampaignError, match=message):
+        bs.analyze(PROBE, **given)
+
+
+def test_an_unknown_option_of_the_noise_law_is_named() -> None:
+    with pytest.raises(
+        bs.CampaignError, match="noise: no option 'varience' of Noise; did you mean"
+    ):
+        bs.make_problem(PROBE, noise={"varience": "signal"})
+
+
+def test_unknown_names_of_a_bound_list_the_known_ones(fit: bs.Fit) -> None:
+    bound = bs.compare_bounds(PROBE, fit, methods="crlb_iid")["crlb_iid"]
+    with pytest.raises(KeyError, match=r"no parameter 'tau'; there are tau_s, y0_V\[1\]"):
+        bound.interval("tau")
+    with pytest.raises(KeyError, match=r"no parameter 'tau'; there are tau_s"):
+        bound.row("tau")
+    with pytest.raises(KeyError, match="no level '90'; there are 68, 95, 997"):
+        bound.interval("tau_s", "90")
+    with pytest.raises(KeyError, match=r"no parameter 'tau'; there are tau_s, y0_V\[1\]"):
+        bs.cramer_rao(PROBE, fit)["tau"]
+
+
+def test_unknown_names_in_theta_list_those_that_the_rig_has() -> None:
+    case = CASES["staircase"]()
+    theta = bs.Layout.of(case.design).nested(case.theta)
+    with pytest.raises(bs.CampaignError, match="known are tau_s, y0_V, beta_V, t1_s, t2_s, t3_s,"):
+        bs.predict(case.design, {**theta, "zzz": 1.0})
+
+
+def test_lags_to_be_restored_are_called_by_their_argument() -> None:
+    record = np.arange(100.0), np.arange(100.0)
+    with pytest.raises(bs.CampaignError, match=r'^lags: .* write for example lags = "40 min"$'):
+        bs.restore("40 mL", record)
+    with pytest.raises(bs.CampaignError, match=r'^lags: .*; write for example lags = "40 min"$'):
+        bs.restore("40 +- 2 mL", record)

@@ -200,7 +200,7 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise CampaignError(
             f"{key}: expected {kind.name} as text with a unit, but got {_shorten(str(value))}; "
-            f'write {key} = "{kind.example}"'
+            f"write {_written(key, kind.example)}"
         )
     if not isinstance(value, str) and not in_range(value):
         got = (
@@ -216,7 +216,7 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
         unit = kind.example.split(" ", 1)[1].split()[-1]
         raise CampaignError(
             f"{key}: expected {kind.name} with its unit, but got the bare number "
-            f'{value:.12g}; write {key} = "{value:.12g} {unit}"'
+            f"{value:.12g}; write {_written(key, f'{value:.12g} {unit}')}"
         )
     text = value.strip()
     if len(text) > _LONGEST:
@@ -227,10 +227,17 @@ def _text_of(value: object, kind: Kind, key: str) -> str:
     return text
 
 
+def _written(key: str, text: str) -> str:
+    """How a quantity is given: an option of the command, or the last part of what ``key`` says."""
+    if key.startswith("--"):
+        return f'{key} "{text}"'
+    name = re.sub(r"^\[\w+\] ", "", key.rpartition(": ")[2])
+    return f'{name} = "{text}"'
+
+
 def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
     if not unit.strip():
-        example = f'"{_shorten(text)} {kind.example.split()[-1]}"'
-        written = f"{key} {example}" if key.startswith("--") else f"{key} = {example}"
+        written = _written(key, f"{_shorten(text)} {kind.example.split()[-1]}")
         raise CampaignError(
             f"{key}: expected {kind.name} with its unit, but got '{_shorten(text)}' without one; "
             f"add the unit that is meant, as in {written}"
@@ -240,7 +247,7 @@ def _scaled(number: str, unit: str, kind: Kind, key: str, text: str) -> float:
     except CampaignError as error:
         raise CampaignError(f"{key}: {error}") from None
     if factor is None:
-        fix = f'write for example {key} = "{kind.example}"'
+        fix = f"write for example {_written(key, kind.example)}"
         if kind is FLOW and conversion_factor(unit.strip(), "dimensionless") is not None:
             fix = (
                 "write a concentration as concentration, beside total_flow, in place of the two "
