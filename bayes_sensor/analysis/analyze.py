@@ -60,7 +60,8 @@ def analyze(
         a folder for all results, with the report; None writes nothing.
     priors
         by parameter, such as ``{"V": "normal(60, 2) mL"}``: texts, :class:`Prior` objects or frozen
-        laws of ``scipy.stats``; objects are in s, mL and the signal's unit.
+        laws of ``scipy.stats`` (``norm``, ``halfnorm``, ``lognorm``, ``uniform`` or
+        ``loguniform``); objects are in s, mL and the signal's unit.
     fix
         parameters held at a value, such as ``{"tau_v": "0.86 s"}``; numbers are in s, mL and the
         signal's unit.

@@ -211,7 +211,8 @@ def prior_of_law(value: Any) -> Prior | None:
 def read_priors(
     given: Mapping[str, Any], layout: Layout, unit: str, where: str
 ) -> dict[str, Prior]:
-    """Priors by flat name, from texts, :class:`Prior` objects or frozen laws of ``scipy.stats``.
+    """Priors by flat name, from texts, :class:`Prior` objects or frozen laws of ``scipy.stats``
+    (:func:`prior_of_law`).
 
     Keys are names with or without their unit, ``t0`` for all experiments or ``t0[4]`` for one;
     objects are in s, mL and the signal's ``unit``.

@@ -28,8 +28,9 @@ def make_problem(
     ----------
     priors
         by name (``tau``, ``V``, ``t0`` for all experiments, ``t0[4]`` for one): texts such as
-        ``"normal(60, 2) mL"``, :class:`Prior` objects, or frozen laws of ``scipy.stats``; objects
-        are in s, mL and the signal's unit.
+        ``"normal(60, 2) mL"``, :class:`Prior` objects, or frozen laws of ``scipy.stats`` (``norm``,
+        ``halfnorm``, ``lognorm``, ``uniform`` or ``loguniform``; of others than ``norm`` and
+        ``uniform`` with ``loc`` 0); objects are in s, mL and the signal's unit.
     fix
         parameters held at a value: texts such as ``"0.86 s"``, or numbers in s and mL.  They are
         neither fitted nor sampled; bounds, delays and gap do not carry them.
