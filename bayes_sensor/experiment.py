@@ -142,10 +142,12 @@ class Experiment:
     _repr_html_ = record_card
 
     name: str
+    """what parameters and messages call it: ``t0_s[name]``"""
     t: FloatArray
     """(n_t,) s, increasing; where :attr:`regular`, ``t[i] = t[0] + i * interval``."""
     y: FloatArray | None
-    """(n_t,) V, or None for a design (an experiment that is planned but not measured)."""
+    """(n_t,) in the campaign's ``signal_unit``, or None for a design (an experiment that is planned
+    but not measured)"""
     carrier_flow: float | None
     """mL/s, or None where it is not known"""
     test_gas_flow: float | None
@@ -159,7 +161,7 @@ class Experiment:
     mask: BoolArray | None = None
     """(n_t,) True where the sample is used; None means all"""
     drive: FloatArray | None = None
-    """(n_t,) the valve's recorded drive signal, or None"""
+    """(n_t,) the valve's recorded drive signal in any unit, or None"""
     source: str = ""
     """the file the samples came from, for messages"""
     sha256: str = ""

@@ -57,6 +57,23 @@ def fit(campaign: bs.Campaign) -> bs.Fit:
     return bs.fit_least_squares(campaign, seed=1, euler=False)
 
 
+def test_every_result_is_one_line_of_print(campaign: bs.Campaign, fit: bs.Fit) -> None:
+    delays, bound = bs.regress_delays(campaign, fit), bs.cramer_rao(campaign, fit)
+    profile = bs.compare_bounds(campaign, fit, methods="crlb_iid")["crlb_iid"]
+    found = {
+        bs.diagnose_residuals(campaign, fit): "Residuals(the noise law fits; phi 0.",
+        delays: "Delays(start RegressionLine(",
+        delays.start: "RegressionLine(No regression: 2 delays",
+        bound: f"CramerRao(sd of tau_s {bound['tau_s']:.4g}, tau_v_s ",
+        bs.explain_tau(campaign, fit): "TauExplained(tau 0.",
+        profile: f"Bound(crlb_iid: 95 % tau_s {profile.interval('tau_s')[0]:.4g} to ",
+    }
+    for result, begin in found.items():
+        text = repr(result)
+        assert text.startswith(begin) and "\n" not in text and "array(" not in text
+        assert len(text) < 250
+
+
 def test_a_campaign_shows_its_experiments(campaign: bs.Campaign) -> None:
     rows = Cells(campaign._repr_html_()).rows
     assert len(rows) == 1 + len(campaign)

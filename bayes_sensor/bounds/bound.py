@@ -59,6 +59,16 @@ class Bound:
             if array.shape != shape:
                 raise ValueError(f"{self.method}: {label} has shape {array.shape}, not {shape}")
 
+    def __repr__(self) -> str:
+        """The first intervals at 95 % and the status."""
+        few = ", ".join(
+            f"{name} {low:.4g} to {high:.4g}"
+            for name, low, high in zip(
+                self.names[:3], self.low[:, 1].tolist(), self.high[:, 1].tolist(), strict=False
+            )
+        )
+        return f"Bound({self.method}: 95 % {few}, .. ({len(self.names)}); {self.status})"
+
     @classmethod
     def without_values(cls, names: list[str], estimate: FloatArray, reason: str) -> Bound:
         """One with estimates (n,) alone; ``reason``: a sentence, why there are no intervals."""

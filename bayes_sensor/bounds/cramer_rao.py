@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 PUBLISHED_SIGMA = 0.0653
 """V, the RMS residual of the paper's fit"""
+FEW = 3
+"""parameters that a line shows"""
 PAPER = "the paper, eqs. 16-18; Kay (1993), eq. 3.33"
 """where the bound under iid noise comes from"""
 
@@ -46,6 +48,11 @@ class CramerRao:
     information: FloatArray
     """(n, n) from which it was inverted (noise parameters eliminated)"""
     status: str = "ok"
+
+    def __repr__(self) -> str:
+        """The first spreads and the status."""
+        few = ", ".join(f"{n} {sd:.4g}" for n, sd in zip(self.names[:FEW], self.sd, strict=False))
+        return f"CramerRao(sd of {few}, .. ({len(self.names)}); {self.status})"
 
     @property
     def sd(self) -> FloatArray:

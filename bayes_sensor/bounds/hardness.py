@@ -79,6 +79,13 @@ class TauExplained:
     status: str = "ok"
     """a sentence where something could not be computed"""
 
+    def __repr__(self) -> str:
+        """tau, how far it is confounded with the rest, and the status."""
+        return (
+            f"TauExplained(tau {self.tau:.4g} s, sd of tau^2 {self.sd_square:.4g} s^2, multiple "
+            f"correlation {self.collinearity['all']:.4g}; {self.status})"
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The content of ``what_makes_tau_hard`` in ``bounds.json``: numbers, units in the keys;
         null where a bound is infinite."""

@@ -86,6 +86,12 @@ class RegressionLine:
     ordinary: dict[str, Any] | None = None
     """``se``, ``ci95`` and ``p_value`` from the scatter about the line alone"""
 
+    def __repr__(self) -> str:
+        """Both coefficients, or why there are none."""
+        if self.intercept is None or self.slope is None:
+            return f"RegressionLine({self.status})"
+        return f"RegressionLine({self.intercept:.4g} s + {self.slope:.4g} L / Q; n {self.n})"
+
     @property
     def n(self) -> int:
         """Experiments in the reported regression."""
@@ -128,6 +134,10 @@ class Delays:
 
     start: RegressionLine
     end: RegressionLine | None
+
+    def __repr__(self) -> str:
+        """Both lines."""
+        return f"Delays(start {self.start}, end {self.end})"
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: both lines."""

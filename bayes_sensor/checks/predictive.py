@@ -127,6 +127,10 @@ class PredictiveCheck:
     n_draws: int
     seed: int
 
+    def __repr__(self) -> str:
+        """The status."""
+        return f"PredictiveCheck({self.status})"
+
     @cached_property
     def p_values(self) -> dict[str, float]:
         """One p-value a check, each for its whole vector."""

@@ -34,13 +34,15 @@ class Fit:
     rms_per_experiment: dict[str, float]
     """V"""
     n_samples: int
+    """used samples of all experiments"""
     cost: float
     """V^2, the sum of squares"""
     at_bound: list[str]
     """flat names of estimates at a search bound"""
     bounds: dict[str, tuple[float, float]]
-    """search bounds by flat name"""
+    """search bounds by flat name: low and high in s, mL and the signal's unit"""
     converged: bool
+    """whether the refinement ended by itself, and a step is seen"""
     status: str
     """one sentence"""
     warnings: list[str]
@@ -51,13 +53,17 @@ class Fit:
     de: dict[str, Any] | None
     """the differential-evolution cross-check, or None when it was not asked for"""
     n_evaluations: int
+    """evaluations of the whole campaign's misfit"""
     seconds: float
+    """s, how long the fit took"""
     naming: Naming
     """names that may be stated for the lags"""
     signal_unit: str = "V"
+    """unit of what is said to be in V here"""
     phi_interval: float = 0.0
     """s, the sampling interval that phi refers to"""
     seed: int = 1
+    """of the swarms"""
     cannot_tell: str = ""
     """why these data allow no interval, as a sentence; empty where they do"""
     twin: str = ""

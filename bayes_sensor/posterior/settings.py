@@ -29,9 +29,11 @@ class Settings:
     max_steps: int = 3000
     """ensemble steps at which to give up"""
     thin: int = 5
+    """ensemble steps from one draw that is kept to the next"""
     n_draws: int = 400
     """draws of each chain of the independence sampler and hmc"""
     max_draws: int = 16000
+    """draws of each of their chains at which to give up"""
     target_ess: float = 1000.0
     """bulk ESS at which a run may stop; convergence itself asks for 400 in bulk and tail"""
 

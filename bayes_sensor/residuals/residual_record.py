@@ -54,6 +54,12 @@ class Residuals(NoiseJudgement):
     """slow part of the residuals' spectrum over that of the fitted AR(1)"""
     signal_unit: str = "V"
 
+    def __repr__(self) -> str:
+        """Whether the noise law fits, and its phi."""
+        failed = [name for name, check in self.checks.items() if not check["adequate"]]
+        law = f"the noise law fails in {', '.join(failed)}" if failed else "the noise law fits"
+        return f"Residuals({law}; phi {self.ar1['phi']:.4g} at {self.ar1['phi_interval_s']:.4g} s)"
+
     def _repr_html_(self) -> str:
         """HTML for a notebook: the verdict, and each check of the noise law."""
         rows = [

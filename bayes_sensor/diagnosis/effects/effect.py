@@ -40,18 +40,23 @@ class Strength:
 
     name: str
     unit: str
+    """``s``, ``V``, ``V/s``, ``1/V``, ``1/s``, or ``1`` for none; V stands for the signal's unit"""
     kind: str
+    """``normal`` or ``log_normal``"""
     centre: float
+    """in ``unit``: the mean, or the median of a log-normal one"""
     sd: float
+    """in ``unit``, or of the natural logarithm (no unit) of a log-normal one"""
     per_experiment: bool = False
+    """whether each experiment has a value of its own, a parameter ``name[experiment]``"""
     limits: tuple[float, float] = (-np.inf, np.inf)
-    """values outside are moved to the nearer limit"""
+    """lowest and highest value, in ``unit``; values outside are moved to the nearer limit"""
     scaled: bool = False
     """an amplitude whose plausible size is itself uncertain: its evidence is averaged over
     spreads a third, one and three times as wide"""
     alike: float = 0.0
-    """correlation, between experiments, of a strength that each has for itself: what happens to all
-    records of a day is of one sign and size rather than not"""
+    """correlation (0 to below 1) between experiments of a strength ``per_experiment``: what happens
+    to all records of a day is of one sign and size rather than not"""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
