@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from bayes_sensor.campaign import CampaignError
-from bayes_sensor.likelihood.prior_text import flat_names, read_value
+from bayes_sensor.likelihood.prior_text import check_by_name, flat_names, read_value
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.rig.layout import NOISE
 from bayes_sensor.rig.named_values import unit_of
@@ -32,6 +32,7 @@ def held_values(problem: Problem, given: Mapping[str, str | float], where: str) 
         which it is not known which one it is.
     """
     held: dict[str, float] = {}
+    check_by_name(given, where)
     for key in sorted(given, key=lambda k: "[" in k):
         here = f"{where} {key}"
         for name in flat_names(key, problem.layout, here):

@@ -66,6 +66,15 @@ def flat_names(key: str, layout: Layout, where: str) -> list[str]:
     raise CampaignError(f"{where}: unknown parameter '{key[:80]}'; {hint}")
 
 
+def check_by_name(given: Any, where: str) -> None:
+    """Raise CampaignError unless what is given is a mapping by the names of parameters."""
+    if not isinstance(given, Mapping):
+        raise CampaignError(
+            f"{where}: expected a mapping by the names of parameters, but got a "
+            f'{type(given).__name__}; write for example {{"tau": ..}}'
+        )
+
+
 def read_value(text: str | float, name: str, unit: str, where: str) -> float:
     """The number of a parameter's value as text with its unit; a number is taken as it is.
 
@@ -162,6 +171,7 @@ def read_bounds(
         For an unknown name, and for anything but a low value and a high one.
     """
     found: dict[str, tuple[float, float]] = {}
+    check_by_name(given, where)
     for key, pair in given.items():
         here = f"{where} {key}"
         if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2:
@@ -223,6 +233,7 @@ def read_priors(
         For an unknown name, or what is no prior.
     """
     priors: dict[str, Prior] = {}
+    check_by_name(given, where)
     # a key for one experiment wins over one for all, whatever their order
     for key in sorted(given, key=lambda k: "[" in str(k)):
         value, here = given[key], f"{where} {key}"

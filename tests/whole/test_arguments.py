@@ -149,6 +149,18 @@ def test_slips_in_analyze_are_named_as_python_has_them(given: Any, message: str)
         bs.analyze(PROBE, **given)
 
 
+def test_parameters_are_given_by_name() -> None:
+    expected = "expected a mapping by the names of parameters, but got a str"
+    with pytest.raises(bs.CampaignError, match=rf"make_problem: \[priors\]: {expected}"):
+        bs.make_problem(PROBE, "flat")  # type: ignore[arg-type]
+    with pytest.raises(bs.CampaignError, match=rf"make_problem: \[fix\]: {expected}"):
+        bs.make_problem(PROBE, fix="3 s")  # type: ignore[arg-type]
+    with pytest.raises(bs.CampaignError, match=f"^bounds: {expected}"):
+        bs.fit_least_squares(PROBE, bounds="3 s")  # type: ignore[arg-type]
+    with pytest.raises(bs.CampaignError, match=r"^with_effect: no effect 'gain' in the catalogue"):
+        bs.sample_posterior(PROBE, with_effect="gain")
+
+
 def test_an_unknown_option_of_the_noise_law_is_named() -> None:
     with pytest.raises(
         bs.CampaignError, match="noise: no option 'varience' of Noise; did you mean"

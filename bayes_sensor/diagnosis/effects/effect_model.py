@@ -385,7 +385,7 @@ or one of its forms"""
 def listed(given: Given | Iterable[Given], where: str) -> list[str | Effect]:
     """One effect or several, as names and effects.
 
-    Raises CampaignError for what is no effect.
+    Raises CampaignError for what is no effect, and for a name that is not in the catalogue.
     """
     if isinstance(given, Given) or not isinstance(given, Iterable):
         given = [given]
@@ -393,6 +393,8 @@ def listed(given: Given | Iterable[Given], where: str) -> list[str | Effect]:
 
 
 def _name_or_effect(given: Given, where: str) -> str | Effect:
+    if isinstance(given, str):
+        parse_effect(given, where)
     if isinstance(given, str | Effect):
         return given
     if not isinstance(given, Form):
