@@ -928,6 +928,20 @@ def test_tau_of_zero_can_be_explained():
     assert "tf" not in told.known and told.known["t0"] < 0.2 * told.known["nothing"]
 
 
+@pytest.mark.parametrize("tau", [10.0, 1e-4])
+def test_a_tau_that_no_sample_sees_is_explained(tau):
+    # the switch lies between two samples; short lags are over before the next one
+    t = np.arange(0.0, 600.0, 10.0)
+    design = Campaign.from_frames({"1": (t, 0.0 * t)}, stages=["sensor"], commanded_on="290 s")
+    step = {"y0_V": 1.0, "beta_V": -0.5, "t0_s": 295.0}
+    noise = {"phi": 0.3, "sigma0_V": 0.01, "sigma1_V": 0.01}
+    told = explain_tau(design, {"tau_s": tau, **noise, "experiments": {"1": step}})
+    assert np.isinf(told.by_tau.iloc[0][["sd_square_s2", "sd_tau_s"]]).all()
+    assert np.isfinite(told.sd_square) == (tau > 1.0)
+    json.dumps(told.to_json(), allow_nan=False)
+    assert told.sentences
+
+
 def test_the_profile_of_data_follows_the_square_and_not_the_gaussian(at_bound):
     told = explain_tau(at_bound.campaign, at_bound.fit.theta_hat, n_curve=9)
     curve = told.curve
