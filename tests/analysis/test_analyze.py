@@ -159,6 +159,8 @@ def test_figures_of_what_is_missing_say_so(loaded: Analysis, place: Path) -> Non
     ) == 0  # fmt: skip
     part = bs.load(place / "fit")
     assert part.posterior is part.bounds is part.delays is part.gap is None
+    (note,) = part.notes
+    assert note.startswith("posterior, predictive, bounds, delays, gap: not computed by this run")
     assert part.fit.rms == pytest.approx(loaded.fit.rms, rel=1e-6)  # of another seed
     assert "[[Parameters]]" in part.summary() and "[[Bounds of tau]]" not in part.summary()
     for name in ("corner", "intervals", "delays", "gap"):
