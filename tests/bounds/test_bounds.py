@@ -56,6 +56,7 @@ from bayes_sensor.likelihood.density import log_likelihood, mean_and_variance, s
 from bayes_sensor.likelihood.mesh import mean_derivatives
 from bayes_sensor.likelihood.noise import Noise
 from bayes_sensor.likelihood.problem import Problem
+from bayes_sensor.posterior.draws import percentiles
 from tests.support import campaigns
 from tests.support.campaigns import small_design as long_design
 from tests.support.campaigns import small_theta as its_theta
