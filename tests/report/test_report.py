@@ -1388,6 +1388,9 @@ def test_a_remark_that_several_share_is_said_once(saved: Saved) -> None:
     numbers = [("1", "a", 0.2), ("2", "b", 0.31)]
     texts = [f"Experiment '{k}' ({name}.csv): a step of {step} s" for k, name, step in numbers]
     assert told(*texts) == ["Experiments '1' and '2': a step of 0.2 s (numbers of '1')."]
+    texts = [f"experiment '{i}': misses by up to {i} V ({90 - i} %)" for i in (1, 3, 2)]
+    whole = "Experiments '1', '3' and '2': misses by up to 3 V (87 %) (numbers of '3')."
+    assert told(*texts) == [whole]  # those of the worst
     small = "is too small for these data to see"
     subjects = ("the shorter lag", "the longer lag", "V_mL")
     assert told(*(f"{subject} {small}" for subject in subjects), "another") == [
