@@ -156,6 +156,7 @@ def run_steps(
         job.warnings = tuple(warnings_of(job, remarks))
         return job
     with results.locked(patience, SAVES[command]), ExitStack() as stack:
+        results.check_campaign(job.campaign_json)
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         staged = take_up_finished(job)
         begun(job)
