@@ -1016,6 +1016,8 @@ def test_any_text_is_a_quantity_or_a_message(text: str) -> None:
         ("time_ms", "time", "ms"),
         ("Time (ms)", "Time", "ms"),
         ("U [mV]", "U", "mV"),
+        ("T_degC", "T", "degC"),
+        ("RH_%", "RH", "%"),
         ("t/ms", "t", "ms"),
         ("Channel A", "Channel A", ""),
         ("Channel (A)", "Channel (A)", ""),
