@@ -138,9 +138,7 @@ def test_commands_that_the_record_cannot_place(
 
 
 @pytest.mark.parametrize("on", ["2025-05-01 12:00:02", "9e11 s"])
-def test_a_command_of_another_year_is_told_the_dates_of_the_record(
-    on: str, tmp_path: Path
-) -> None:
+def test_a_command_of_another_year_is_told_the_dates_of_the_record(on: str, tmp_path: Path) -> None:
     table = lines("when,gas_V", *samples(stamps("%Y-%m-%d %H:%M:%S.%f3"), Y))
     with pytest.raises(CampaignError, match=r"outside the record, which runs from 0 s \(") as told:
         read(tmp_path, table, commanded_on=f'"{on}"')
