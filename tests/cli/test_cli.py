@@ -499,6 +499,11 @@ def test_a_fit_that_sees_no_step_is_one_sentence(
     assert "mean nothing; the results are marked so" in said
 
 
+def test_a_file_is_no_results_folder(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("report", campaign) == 2
+    assert "this is a file; expected a results folder" in capsys.readouterr().err
+
+
 def test_lags_are_told_in_order() -> None:
     values = {"lag_slow_s": 0.0489, "lag_fast_s": 0.0128, "lag_between_s": 0.02}
     fit = SimpleNamespace(
