@@ -157,7 +157,8 @@ def run_steps(
         job.warnings = tuple(warnings_of(job, remarks))
         return job
     with results.locked(patience, SAVES[command]), ExitStack() as stack:
-        results.check_campaign(job.campaign_json)
+        if resume:
+            results.check_campaign(job.campaign_json)
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
         stack.enter_context(_remarks_before_an_error(remarks))
         staged = take_up_finished(job)

@@ -25,7 +25,6 @@ def save_findings(analysis: Findings, folder: Path) -> Path:
     )  # fmt: skip
     job.warnings = analysis.warnings
     with results.locked():
-        results.check_campaign(job.campaign_json)
         write_results(job, results, command_line=("Analysis.save",))
         put_last(job, results)
     return folder

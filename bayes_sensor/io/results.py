@@ -216,8 +216,8 @@ class Results:
         if earlier is not None and is_other_campaign(earlier, campaign):
             whose = earlier["source"] or f"'{earlier['title']}'"
             raise CampaignError(
-                f"--out {self.folder}: it holds results of another campaign ({whose}); expected a "
-                "folder without results, or with those of this campaign: choose another"
+                f"--resume: {self.folder} holds results of another campaign ({whose}); expected "
+                "those of this one: name its folder, or leave --resume out to replace them"
             )
 
     def clear(self, name: str) -> None:
