@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +20,13 @@ def analysis_of(job: Job) -> Analysis:
     compared, record = (None, None) if job.bounds is None else job.bounds
     notes = [f"gap: not diagnosed: {job.no_gap}"] if job.no_gap else []
     notes += job.left_out.values()
+    parts: dict[str, Any] = {part: getattr(job, part) for part in PARTS} | {"bounds": compared}
     return Analysis(
         problem=job.problem,
-        fit=job.fit,
-        posterior=job.posterior,
-        bounds=compared,
-        delays=job.delays,
-        gap=job.gap,
-        residuals=job.residuals,
-        predictive=job.predictive,
+        **parts,
         bounds_json=record,
         warnings=tuple(job.warnings),
-        notes=tuple(notes),
+        notes=(*notes, *_never_computed(parts, notes)),
         settings=job.overrides.record(),
         seed=job.seed,
         seconds=dict(job.seconds),
@@ -95,10 +91,21 @@ def load(folder: str | os.PathLike[str]) -> Analysis:
         problem=problem,
         bounds_json=None if parts["bounds"] is None else results.json("bounds.json"),
         warnings=warnings,
-        notes=tuple(notes),
+        notes=(*notes, *_never_computed(parts, notes)),
         saved_traces=tuple(load_traces(traces))
         if parts["fit"] and results.has(traces.name)
         else None,
         **parts,
         **more,
     )
+
+
+def _never_computed(parts: Mapping[str, Any], notes: Sequence[str]) -> list[str]:
+    """A sentence on the parts that are not there and that no note speaks of."""
+    silent = [
+        part
+        for part, found in parts.items()
+        if found is None and not any(note.startswith(f"{part}: ") for note in notes)
+    ]
+    said = f"{', '.join(silent)}: not computed by this run; analyze without quick computes them"
+    return [said] if silent else []

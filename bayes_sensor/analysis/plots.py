@@ -32,7 +32,7 @@ class Plots:
         from bayes_sensor import figures
 
         command = _COMMANDS.get(part, part)
-        why = "; ".join(note for note in self._analysis.notes if note.startswith(part))
+        why = "; ".join(note for note in self._analysis.notes if note.startswith(f"{part}: "))
         run = f"no {part} in these results; run analyze, or bayes-sensor {command}"
         return figures.no_data(why or run, ax)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -148,15 +148,19 @@ def run_steps(
     job.basis = digest(job.campaign_json, overrides.basis())
     files = _files(campaign, config)
     if results is None:
-        begun(job)
-        for stage, names in job.stages.items():
-            if stage != "report":
-                _take(job, names)
-                finished(stage, job)
+        with _remarks_before_an_error(remarks):
+            begun(job)
+            for stage, names in job.stages.items():
+                if stage != "report":
+                    _take(job, names)
+                    finished(stage, job)
         job.warnings = tuple(warnings_of(job, remarks))
         return job
     with results.locked(patience, SAVES[command]), ExitStack() as stack:
+        if resume:
+            results.check_campaign(job.campaign_json)
         results.own_folder(CHECKPOINT)  # refused now rather than after the fit
+        stack.enter_context(_remarks_before_an_error(remarks))
         staged = take_up_finished(job)
         begun(job)
         stages, unsaved = job.stages, list[str]()
@@ -233,6 +237,17 @@ def put_last(job: Job, results: Results, report: Choice | None = None) -> None:
     """Make the report; all else is in place by now, whatever becomes of it."""
     with job.timed("report") as tell, last_step(results):
         put_report(results, tell, report)
+
+
+@contextmanager
+def _remarks_before_an_error(remarks: Sequence[str]) -> Iterator[None]:
+    """Log the remarks on a campaign where a step fails: what they say may be the cause."""
+    try:
+        yield
+    except CampaignError:
+        for text in remarks:
+            LOG.warning("%s", text)
+        raise
 
 
 def _take(job: Job, names: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import floor, log10
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -147,14 +148,22 @@ def _parameters(analysis: Findings) -> list[str]:
     width = max(len(row.name) for row in rows)
     lines = []
     for row in rows:
-        line = f"{row.name + ':':<{width + 1}} {shown(row.value):>10}"
+        digits = _digits(row)
+        line = f"{row.name + ':':<{width + 1}} {shown(row.value, digits):>10}"
         if row.sd is not None:
             line += f" +/- {shown(row.sd, 3):>9}"
-            line += f"  95 % [{shown(row.low)}, {shown(row.high)}]"
+            line += f"  95 % [{shown(row.low, digits)}, {shown(row.high, digits)}]"
         lines.append(" ".join([line, "" if row.unit == "1" else row.unit, row.remark]).rstrip())
     if analysis.posterior is not None and not analysis.posterior.converged:
         lines.append("(the posterior has not converged: take these numbers for a sketch)")
     return lines
+
+
+def _digits(row: ParameterRow) -> int:
+    """Significant digits that tell the ends of its interval apart."""
+    if not row.sd or not row.value:
+        return 4
+    return max(4, floor(log10(abs(row.value) / row.sd)) + 3)
 
 
 def _correlations(analysis: Findings) -> list[str]:

@@ -10,6 +10,7 @@ Diagnostics, 1980, ch. 3.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,6 +111,19 @@ class TauExplained:
         return record
 
 
+def to_unit_diagonal(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information (n, n) in units of one over ``scale`` (n,), and that scale: 0 for a parameter of
+    which there is none, as of a lag that is over between two samples.
+
+    >>> to_unit_diagonal(np.diag([4.0, 0.0]))[1]
+    array([0.5, 0. ])
+    """
+    diagonal = np.diag(information)
+    scale = np.zeros(len(diagonal))
+    scale[diagonal > 0.0] = 1.0 / np.sqrt(diagonal[diagonal > 0.0])
+    return information * np.outer(scale, scale), scale
+
+
 def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> float:
     """R of sensitivity ``i`` on the sensitivities ``others``, from information (n, n).
 
@@ -118,10 +132,10 @@ def multiple_correlation(information: FloatArray, i: int, others: list[int]) -> 
     >>> round(multiple_correlation(np.array([[1.0, 0.6], [0.6, 1.0]]), 0, [1]), 6)
     0.6
     """
+    scaled, scale = to_unit_diagonal(information)
+    others = [j for j in others if scale[j] > 0.0]
     if not others:
         return 0.0
-    scale = 1.0 / np.sqrt(np.diag(information))
-    scaled = information * np.outer(scale, scale)
     cross = scaled[i, others]
     explained = float(cross @ np.linalg.solve(scaled[np.ix_(others, others)], cross))
     return float(np.sqrt(min(max(explained, 0.0), 1.0)))
@@ -136,11 +150,12 @@ def square_coordinates(layout: Layout, tau: float) -> FloatArray:
 
 
 def sd_of_square(bound: CramerRao, layout: Layout, tau: float) -> float:
-    """sd of tau^2 (s^2); stays finite as tau goes to zero."""
+    """sd of tau^2 (s^2), inf where no sample sees tau; stays finite as tau goes to zero."""
     slopes = square_coordinates(layout, tau)
-    information = slopes.T @ bound.information @ slopes
-    scale = 1.0 / np.sqrt(np.diag(information))
-    inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    scaled, scale = to_unit_diagonal(slopes.T @ bound.information @ slopes)
+    if scale[layout.tau] == 0.0:
+        return inf
+    inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
     return float(np.sqrt(inverse[layout.tau, layout.tau]) * scale[layout.tau])
 
 
@@ -177,9 +192,7 @@ def explain_tau(
     at[own] = max(tau, 1e-3 * beside)
     bound = cramer_rao(problem, at, sigma, noise=noise)
     others = [i for i in range(layout.n_mean) if i != own]
-    diagonal = np.diag(bound.information)
-    scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(bound.information * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(to_unit_diagonal(bound.information)[0])
     direction = vectors[:, 0] * np.sign(vectors[own, 0] or 1.0)
     strongest = np.argsort(-np.abs(direction))
     weakest = {bound.names[i]: float(direction[i]) for i in strongest}
@@ -200,8 +213,9 @@ def explain_tau(
         if set(fixed) <= kinds:
             known[label] = bound_of(layout, bound.information, fixed)["tau_s"]
     sd_square = sd_of_square(bound, layout, float(at[own]))
+    width = sd_square if np.isfinite(sd_square) else beside**2  # of what is drawn
     by_tau = pd.DataFrame(
-        [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at[own], beside, sd_square)]
+        [_at_tau(problem, at, float(t), sigma, noise) for t in _taus(at[own], beside, width)]
     )
     ordered = problem.commuting.by_size(vector)
     lags = problem.commuting.without_volumes.places
@@ -216,7 +230,7 @@ def explain_tau(
     if likelihood is not None and not likelihood[1].converged:
         status = "the likelihood's maximum was not found: the profile is the one to be expected"
         likelihood = None
-    curve = _curve(likelihood, place, tau, sd_square, n_curve)
+    curve = _curve(likelihood, place, tau, width, n_curve)
     return TauExplained(
         bound.names, values, weakest, float(np.sqrt(values[-1] / max(values[0], 1e-300))),
         correlation, collinearity, known, tau, sd_square, by_tau, curve,

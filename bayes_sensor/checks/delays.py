@@ -203,7 +203,9 @@ def regress_delays(campaign: Campaign | Problem, fit: DelayFit, posterior: Any =
         lines.append(regress_line(names, np.array(x), np.array(y), covariance, given))
     start, end = lines
     assert start is not None
-    if not campaign.flows_known and not start.names:
+    if not any(switching.is_pulse for switching in problem.layout.switching):
+        start = replace(start, status="No regression: it is of single pulses, and there is none.")
+    elif not campaign.flows_known and not start.names:
         start = replace(start, status="No regression: no flow is known.")
     return Delays(start, end)
 

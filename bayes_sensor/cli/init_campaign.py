@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from bayes_sensor.campaign import ORDERS, CampaignError, counted
 from bayes_sensor.cli.terminal import say
@@ -92,12 +93,27 @@ def _at_terminal(question: str) -> str:
 def _tell_found(drafts: Sequence[Draft], unread: Sequence[Unread], quiet: bool) -> None:
     for draft in drafts:
         told = {line.key: line.value for line in draft.lines}
-        on = told.get("commanded_on", f"by {told['drive']}" if "drive" in told else OPEN)
-        off = f", off {told['commanded_off']}" if "commanded_off" in told else ""
         signal = f", signal {told['signal']}" if "signal" in told else ""
-        say(f"{draft.name}: {draft.file}{signal}, on {on}{off}", quiet)
+        say(f"{draft.name}: {draft.file}{signal}, {_told_times(told)}", quiet)
     for one in unread:
         say(f"not used: {one.file}: {one.reason}", quiet)
+
+
+def _told_times(told: Mapping[str, Any]) -> str:
+    """When the input switches, as a draft has it: the first of several times."""
+    if "drive" in told:
+        return f"on by {told['drive']}"
+    if "steps" in told:
+        return f"{counted(len(told['steps']), 'step')} from {told['steps'][0]['at']} on"
+    said = [f"on {_first(told.get('commanded_on', OPEN))}"]
+    said += [f"off {_first(told['commanded_off'])}"] if "commanded_off" in told else []
+    return ", ".join(said)
+
+
+def _first(times: str | Sequence[str]) -> str:
+    if isinstance(times, str) or len(times) == 1:
+        return str(times if isinstance(times, str) else times[0])
+    return f"{times[0]} and {len(times) - 1} more"
 
 
 def _ask_about_files(exports: Sequence[Export], ask: Ask) -> Answers:

@@ -102,7 +102,7 @@ def fit_words(fit: Any) -> str:
 
 def _lags_of_fit(fit: Any) -> str:
     """The fitted lags and volume in words; a lag at the lower end of its search has no value."""
-    from bayes_sensor.report import number, time_words
+    from bayes_sensor.report import list_words, number, time_words
 
     estimates = fit.estimates()
     volumes = {name: estimates.pop(name) for name in [*estimates] if name.startswith("V_")}
@@ -116,9 +116,10 @@ def _lags_of_fit(fit: Any) -> str:
                 f"{symbol} too short to be seen" if value is None
                 else f"{symbol} = {time_words(value)}"
             )  # fmt: skip
-    lags = [time_words(value) for name, value in seen.items() if name.startswith("lag_")]
+    values = sorted(value for name, value in seen.items() if name.startswith("lag_"))
+    lags = [time_words(value) for value in values]
     if lags:
-        said.append(f"{'a lag' if len(lags) == 1 else 'lags'} of {' and '.join(lags)}")
+        said.append(f"{'a lag' if len(lags) == 1 else 'lags'} of {list_words(lags)}")
     if len(seen) < len(estimates) and fit.order == "undecided":
         said.append("any other is too short to be seen" if seen else "no lag can be seen")
     if fit.order == "undecided":

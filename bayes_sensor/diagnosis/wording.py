@@ -136,8 +136,8 @@ def _strength_words(
         unit = units.get(name, "")
         unit = "" if unit in ("1", "") else f" {unit}"
         if isinstance(value, Mapping):
-            low, high = min(value.values()), max(value.values())
-            parts.append(f"{label} {low:.3g} to {high:.3g}{unit}")
+            ends = (f"{end(value.values()):.3g}" for end in (min, max))
+            parts.append(f"{label} {' to '.join(dict.fromkeys(ends))}{unit}")
         else:
             parts.append(f"{label} {value:.3g}{unit}")
     return ", ".join(parts)

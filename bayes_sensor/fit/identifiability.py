@@ -113,9 +113,11 @@ def slow_noise(problem: Problem, vector: FloatArray) -> str:
         time = campaign.reference_interval / -np.log(phi)
         duration = len(e.t) * e.interval
         if duration < STEADY * time:
+            # beyond the record's length the time is no longer measured
+            over = f"{time:.2g} s" if time < duration else "all its length"
             return (
-                f"the noise is correlated over {time:.2g} s, not short against experiment "
-                f"'{e.name}' of {duration:.3g} s"
+                f"the noise of experiment '{e.name}' is correlated over {over}, not short against "
+                f"its {duration:.3g} s"
             )
     return ""
 

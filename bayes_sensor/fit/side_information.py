@@ -1,6 +1,6 @@
-"""Estimates from the data alone of parameters measured elsewhere, and whether both agree.
+"""Estimates from the data alone of what side information and priors say, and whether both agree.
 
-The fit does not use side information. The data determine the squares of all lags, in any order, so
+The fit uses neither. The data determine the squares of all lags, in any order, so
 lags near zero and lags that are nearly equal are not Gaussian. The elementary symmetric polynomials
 e_1 = z_1 + z_2 (+ z_3), e_2, .. of these squares z have a regular information matrix there, too.
 They are therefore taken as Gaussian, with the information of the data under their own noise.  A lag
@@ -13,9 +13,9 @@ linear in the e. Its distance from the data is |P(x^2)| / sd(P(x^2)) standard de
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,8 @@ class Estimates:
     """s, the longest lag: squares are in units of its square"""
     cov: FloatArray
     """(n_shared, n_shared) of the symmetric polynomials and, behind them, the other parameters"""
+    local: Mapping[str, tuple[float, float]]
+    """baselines, steps and switch times of the fit by flat name, with standard deviations"""
 
     @classmethod
     def of(cls, problem: Problem, vector: FloatArray) -> Estimates:
@@ -86,8 +88,15 @@ class Estimates:
         to_squares[range(n_lags), places] = by_value / scale**2
         to_ours[:n_lags] = polynomial_slopes(squares / scale**2) @ to_squares
         to_ours[range(n_lags, n), rest] = 1.0
-        cov = to_ours @ covariance_of(information)[:n, :n] @ to_ours.T
-        return cls(commuting, lags, others, scale, cov)
+        of_psi = covariance_of(information)
+        cov = to_ours @ of_psi[:n, :n] @ to_ours.T
+        variances = np.einsum("ij,jk,ik->i", slopes, of_psi, slopes)
+        local = {
+            layout.names[i]: (float(vector[i]), sqrt(variance))
+            for i, variance in zip(free, variances, strict=True)
+            if n <= i < layout.n_mean
+        }
+        return cls(commuting, lags, others, scale, cov, local)
 
     def other(self, name: str) -> tuple[float, float]:
         """A shared parameter whose lag does not commute, and its standard deviation."""
@@ -132,15 +141,16 @@ class Estimates:
             ends.append(end)
         return value, 0.5 * (ends[1] - ends[0])
 
-    def distance(self, place: int, mean: float, sd: float) -> float:
-        """Joint standard deviations between the lag at this place and ``mean`` +- ``sd``, s.
+    def distance(self, place: int, law: Prior) -> float:
+        """Joint standard deviations between the lag at this place and its ``law`` in s.
 
         The root of the least sum of both squared distances over all lags. A linearisation about
-        ``mean`` would reject one in ten pieces of right side information of 50 %.
+        the law's mean would reject one in ten pieces of right side information of 50 %.
         """
         low, high = self.range_of(place)
-        lag = np.linspace(self.lags[place], min(max(mean, low), high), N_GRID)
-        return sqrt(float(np.min(self.away(lag) ** 2 + ((lag - mean) / sd) ** 2)))
+        towards = min(max(_nearest(law, float(self.lags[place])), low), high)
+        lag = np.linspace(self.lags[place], towards, N_GRID)
+        return sqrt(float(np.min(self.away(lag) ** 2 + law.away(lag) ** 2)))
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """(n, n_shared) of theta's shared values, lags by size."""
@@ -164,6 +174,14 @@ class Estimates:
             flow = commuting.flow if volume and commuting.flow is not None else 1.0
             found[:, place] = lags[:, j] * flow
         return found
+
+
+def _nearest(law: Prior, value: float) -> float:
+    """The most likely value of a law, or what is nearest to ``value`` inside one that is even."""
+    if law.kind in ("normal", "log_normal"):
+        return law.a
+    low, high = (0.0, 0.0) if law.kind == "half_normal" else law.support
+    return float(np.clip(value, low, high))
 
 
 def apart_squares(squares: FloatArray) -> FloatArray:
@@ -198,11 +216,10 @@ def covariance_of(information: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class SideComparison:
-    """One piece of side information and the estimate from the data alone."""
+    """One piece of side information, or a prior, and the estimate from the data alone."""
 
     name: str
-    mean: float
-    sd: float
+    law: Prior
     data: float
     """the data's own estimate, in the same unit"""
     data_sd: float
@@ -221,7 +238,9 @@ class SideComparison:
 
     def sentence(self) -> str:
         """Both values and their distance."""
-        symbol, unit = self.name.partition("[")[0].rsplit("_", 1)
+        kind, bracket, of = self.name.partition("[")
+        symbol, unit = kind.rsplit("_", 1)
+        symbol += bracket + of
         data = f"{self.data:.4g} +- {self.data_sd:.2g} {unit}"
         if self.data < 2.0 * self.data_sd:
             data = f"less than {self.data + Z95 * self.data_sd:.3g} {unit} (95 %)"
@@ -231,12 +250,17 @@ class SideComparison:
             other = f", but it suits the other lag, of {self.suits:.4g} s: is sensor_is right?"
         lag = ""
         if self.known_lag is not None:
-            seen = self.data * self.known_lag / self.mean
+            seen = self.data * self.known_lag / self.law.a
             lag = f" (V/Q {self.known_lag:.4g} s expected, a lag of {seen:.4g} s seen)"
+        source, given = "a prior", f"{self.law} {unit}"
+        if self.law.kind == "normal":
+            source, given = "side information", f"{self.law.a:.4g} +- {self.law.b:.2g} {unit}"
+        apart = "for any lag of that place"
+        if np.isfinite(self.distance):
+            apart = f"{self.distance:.3g} joint standard deviations apart"
         return (
-            f"side information and data contradict each other in {symbol}: {self.mean:.4g} +- "
-            f"{self.sd:.2g} {unit} is given, the data alone say {data}{lag}, {self.distance:.3g} "
-            f"joint standard deviations apart{other}; it is left out of the posterior: do not "
+            f"{source} and data contradict each other in {symbol}: {given} is given, the data "
+            f"alone say {data}{lag}, {apart}{other}; it is left out of the posterior: do not "
             f"quote {symbols} before one of the two is found to be wrong"
         )
 
@@ -244,8 +268,8 @@ class SideComparison:
         """Plain numbers."""
         return {
             "name": self.name,
-            "mean": self.mean,
-            "sd": self.sd,
+            "mean": float(self.law.law.mean()),
+            "sd": float(self.law.law.std()),
             "data_mean": self.data,
             "data_sd": self.data_sd,
             "distance_sd": self.distance,
@@ -255,13 +279,15 @@ class SideComparison:
 
 def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[SideComparison, ...]]:
     """Assignments of the lags at a fit ``vector`` (n_theta,), lags by size, and each piece of side
-    information with the data's own estimate.
+    information, and each prior that was given, with the data's own estimate.
 
     If several assignments are possible, each piece is compared under the one that fits all of them
-    best.
+    best.  Priors of noise and of a model's own parameters are not compared.
     """
-    known = {k: law for k, law in problem.named_laws.items() if law.kind == "normal"}
-    if not problem.named_laws:
+    local = problem.layout.mean_names[problem.layout.n_shared :]
+    given = {k: law for k, law in problem.given_laws.items() if k in local}
+    known = {k: law for k, law in {**problem.named_laws, **given}.items() if law.kind != "flat"}
+    if not known:
         return problem.naming(), ()
     estimates = Estimates.of(problem, vector)
     compared = _compare(problem, known, estimates)
@@ -276,7 +302,7 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Sid
 
 
 def without_contradicted(problem: Problem, compared: Sequence[SideComparison]) -> Problem:
-    """The problem without the side information that the data contradict.
+    """The problem without the side information and the priors that the data contradict.
 
     An average of a right and a wrong value would be wrong.
     """
@@ -299,7 +325,8 @@ def _compare(
     least = np.inf
     for choice in problem.assignments:
         found = tuple(
-            _beside(name, law, choice.place(name), estimates) for name, law in known.items()
+            _beside(name, law, None if name in estimates.local else choice.place(name), estimates)
+            for name, law in known.items()
         )
         total = sum(each.distance**2 for each in found)
         if total < least:
@@ -310,19 +337,20 @@ def _compare(
 def _beside(name: str, law: Prior, place: int | None, estimates: Estimates) -> SideComparison:
     """Side information on one parameter, with the lag or the volume to which it refers."""
     if place is None:
-        value, sd = estimates.other(name)
-        distance = abs(value - law.a) / hypot(sd, law.b)
-        return SideComparison(name, law.a, law.b, value, sd, distance)
+        value, sd = estimates.local[name] if name in estimates.local else estimates.other(name)
+        x = np.linspace(value, _nearest(law, value), N_GRID)
+        distance = sqrt(float(np.min(((x - value) / sd) ** 2 + law.away(x) ** 2)))
+        return SideComparison(name, law, value, sd, distance)
     flow = estimates.commuting.flow
     factor = flow if name.startswith("V_") and flow is not None else 1.0
     value, sd = (factor * each for each in estimates.lag(place))
-    distance = estimates.distance(place, law.a / factor, law.b / factor)
-    lag = law.a / factor if name.startswith("V_") else None
+    distance = estimates.distance(place, law.scaled(1.0 / factor))
+    lag = law.a / factor if name.startswith("V_") and law.kind == "normal" else None
     suits = None
     if flow is None and len(estimates.lags) == 2:
-        if estimates.distance(1 - place, law.a, law.b) < CONTRADICT:
+        if estimates.distance(1 - place, law) < CONTRADICT:
             suits = float(estimates.lags[1 - place])
-    return SideComparison(name, law.a, law.b, value, sd, distance, lag, suits)
+    return SideComparison(name, law, value, sd, distance, lag, suits)
 
 
 def named_parameters(naming: Naming, theta: FloatArray) -> dict[str, float]:

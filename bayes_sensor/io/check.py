@@ -18,6 +18,7 @@ from bayes_sensor.campaign import (
     not_a_campaign,
 )
 from bayes_sensor.io.step_remarks import step_remarks
+from bayes_sensor.io.steps import LEAST, find_steps, largest_change
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,6 +158,8 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
                 f"{where}: no step is seen (it is {step:.3g} {campaign.signal_unit}, with a "
                 f"standard error of {np.hypot(baseline.error, plateau.error):.2g})"
             )
+        else:
+            remarks += _hidden_step(experiment, abs(step), where, campaign.signal_unit)
     remarks += _recorded_twice(campaign)
     remarks += _flows_exchanged(campaign)
     several = len(campaign) > 1 and campaign.flows_known and campaign.same_flow
@@ -168,6 +171,23 @@ def campaign_remarks(campaign: Campaign) -> tuple[str, ...]:
 def _where(experiment: Experiment) -> str:
     file = f" ({experiment.source})" if experiment.source else ""
     return f"experiment '{experiment.name}'{file}"
+
+
+def _hidden_step(e: Experiment, step: float, where: str, unit: str) -> list[str]:
+    """A remark if a record shows no step because something else in it is far larger.
+
+    ``step``: its size between the levels before and late after the command.
+    """
+    if e.y is None or find_steps(e.t[e.used], e.y[e.used]):
+        return []
+    change = largest_change(e.t[e.used], e.y[e.used])
+    if step >= LEAST * change:
+        return []
+    return [
+        f"{where}: the step ({step:.3g} {unit}) is hidden by a change of {change:.3g} {unit} in "
+        "the same record, such as a spike of the valve; leave that out with mask, or leave out the "
+        "experiment"
+    ]
 
 
 def _recorded_twice(campaign: Campaign) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def campaign_from_frames(frames: Any, keys: Mapping[str, Any]) -> Campaign:
         experiments, units = [], []
         for entry, frame in zip(entries, by_name.values(), strict=True):
             where = f"experiment '{entry.name}'"
-            columns = columns_of(frame, where)
+            columns, offsets = columns_of(frame, where)
             file = DataFile(Path(), where, content_of_columns(columns))
             for own, record, sensor in by_sensor(entry):
                 channel = own.drive or own.input
@@ -90,7 +90,7 @@ def campaign_from_frames(frames: Any, keys: Mapping[str, Any]) -> Campaign:
                     channel = "drive"
                 selection = Selection(own.signal, channel, own.time, own.interval)
                 with np.errstate(over="ignore", invalid="ignore"):
-                    recording = recording_of_frame(columns, file, selection)
+                    recording = recording_of_frame(columns, offsets, file, selection)
                     # numbers without a unit are seconds, as everywhere in Python
                     done = assemble(own, file, replace(recording, timed=True))
                 made = replace(done.experiment, source="", record=record, sensor=sensor)
@@ -167,6 +167,8 @@ def _as_text(key: str, value: Any) -> Any:
         return f"{value.total_seconds()!r} s"
     if isinstance(value, np.timedelta64):
         return f"{value / np.timedelta64(1, 's')!r} s"
+    if isinstance(value, datetime):  # pandas' Timestamp, too
+        return value.isoformat(sep=" ")
     if isinstance(value, np.datetime64):
         return str(value)
     if isinstance(value, np.generic):

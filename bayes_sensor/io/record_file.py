@@ -15,10 +15,6 @@ from bayes_sensor.io.readers.quantities import TIME, conversion_factor, read_qua
 from bayes_sensor.io.readers.recording import DataFile, Recording, Selection
 from bayes_sensor.io.readers.sampling import grid_through, grid_times
 
-DATE_NUMBERS = (6.5e5, 8.0e5)
-"""days, MATLAB's numbers of the years 1779 to 2190"""
-LONGEST_STEP = 0.5
-"""days between samples, up to which times are taken as date numbers"""
 MOST_EMPTY = 2.0
 """places of the grid over samples written; with more, a gap is one long step"""
 
@@ -72,10 +68,6 @@ def read_record(
     wanted = None if signal_unit is None else unit_text(signal_unit)
     with np.errstate(over="ignore", invalid="ignore"):
         recording = FORMATS[path.suffix.casefold()](file, Selection(signal, None, time, step))
-        if path.suffix.casefold() == ".mat" and _are_date_numbers(recording):
-            days = recording.t - recording.t[0]
-            told = "times are MATLAB's days and were taken as such, from the first sample"
-            recording = replace(recording, t=86400.0 * days, notes=(*recording.notes, told))
         factor, unit = _unit(file, recording, wanted)
         samples, codes = without_fill_codes(recording.y, recording.place)
         recording = replace(recording, y=samples, notes=(*recording.notes, *codes))
@@ -88,14 +80,6 @@ def read_record(
         told = f"{missing} of {len(y)} samples are missing ({where})"
         notes.append(f"{told}; the band is wider there")
     return Record(t, y, unit, where, recording.signal, tuple(notes), file.sha256)
-
-
-def _are_date_numbers(recording: Recording) -> bool:
-    """Whether the times are MATLAB's ``datenum``: days since the year 0, without a unit."""
-    t = recording.t
-    if recording.interval is not None or recording.timed or len(t) < 2 or not np.isfinite(t).all():
-        return False
-    return bool(DATE_NUMBERS[0] < t[0] < DATE_NUMBERS[1] and np.median(np.diff(t)) < LONGEST_STEP)
 
 
 def _unit(file: DataFile, recording: Recording, wanted: str | None) -> tuple[float, str]:

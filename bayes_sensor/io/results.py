@@ -16,7 +16,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,8 +32,9 @@ from bayes_sensor.io.disk import (
 )
 from bayes_sensor.io.folder_lock import Lock
 from bayes_sensor.io.json_files import read_json, sha256, write_json
+from bayes_sensor.io.run_record import is_other_campaign
 
-LOCK, RUN = ".lock", "run.json"
+LOCK, RUN, CAMPAIGN = ".lock", "run.json", "campaign.json"
 
 WRITTEN = "written_sha256"
 """key of run.json: hashes by path in the folder"""
@@ -205,6 +206,19 @@ class Results:
                     "changed since; expected a folder in which nothing of yours is replaced: "
                     "choose another, or move that away"
                 )
+
+    def check_campaign(self, campaign: Mapping[str, Any]) -> None:
+        """Raise CampaignError where the folder holds results of another campaign.
+
+        ``campaign``: as campaign_record makes it.
+        """
+        earlier = self.json(CAMPAIGN)
+        if earlier is not None and is_other_campaign(earlier, campaign):
+            whose = earlier["source"] or f"'{earlier['title']}'"
+            raise CampaignError(
+                f"--resume: {self.folder} holds results of another campaign ({whose}); expected "
+                "those of this one: name its folder, or leave --resume out to replace them"
+            )
 
     def clear(self, name: str) -> None:
         """Remove a folder of unfinished parts, without what somebody else has put there."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import sys
 from collections.abc import Mapping, Sequence
@@ -87,6 +88,21 @@ def digest(campaign: Mapping[str, Any], settings: Any) -> str:
     }
     text = json.dumps(plain(parts), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def is_other_campaign(earlier: Mapping[str, Any], campaign: Mapping[str, Any]) -> bool:
+    """Whether two contents of ``campaign.json`` are of two campaigns, not of two states of one.
+
+    One campaign has a data file in common with its earlier state; or, where all files were
+    recorded anew, the place of the campaign file and the name of an experiment.
+    """
+
+    def common(key: str) -> bool:
+        mine, others = ({e.get(key) for e in each["experiments"]} for each in (campaign, earlier))
+        return bool(mine & others - {"", None})
+
+    places = {os.path.abspath(each["source"] or "?") for each in (campaign, earlier)}
+    return not common("sha256") and not (len(places) == 1 and common("experiment"))
 
 
 def of_other_data(run: Mapping[str, Any]) -> list[str]:

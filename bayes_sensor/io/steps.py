@@ -110,6 +110,12 @@ def find_steps(t: FloatArray, y: FloatArray) -> tuple[Step, ...]:
     return _held(t, y, steps, least)
 
 
+def largest_change(t: FloatArray, y: FloatArray) -> float:
+    """V, from the lowest to the highest of what :func:`find_steps` sees of a record."""
+    _, means, _ = _smooth(*_averaged(t, y))
+    return float(np.ptp(means)) if len(means) else 0.0
+
+
 def large_ones(steps: Sequence[Step]) -> list[Step]:
     """Those that are as large as :data:`AS_LARGE` says."""
     largest = max((abs(step.height) for step in steps), default=0.0)

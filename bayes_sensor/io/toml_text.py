@@ -59,17 +59,29 @@ def read_toml(
     try:
         return tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, and numbers with thousands of digits
-        raise CampaignError(f"{label}: expected TOML, but {_problem(str(error))}") from None
+        raise CampaignError(f"{label}: expected TOML, but {_problem(str(error), text)}") from None
     except RecursionError:
         raise CampaignError(
             f"{label}: expected {what}, but its brackets are nested too deeply; remove the nesting"
         ) from None
 
 
-def _problem(message: str) -> str:
+_WELL_FORMED = re.compile(r"\"[^\"]*\"|'[^']*'|#.*|[\w.-]+\s*=")
+"""texts in quotes, a remark and keys, in what follows a key's sign of equality"""
+
+
+def _problem(message: str, text: str) -> str:
     said = " ".join(message.split())[:200]
     said = said[:1].lower() + said[1:]
     if "unescaped" in said or "hex value" in said:
         # as in "C:\data\exp1.csv": the escapes of TOML's double quotes
         return f"{said}: a backslash in double quotes begins an escape; write / between folders"
+    place = re.search(r"at line (\d+)", said)
+    line = text.splitlines()[int(place[1]) - 1 : int(place[1])] if place is not None else []
+    value = "".join(line).partition("=")[2]
+    if re.search(r"[^\W\d_]|[%\u2018\u2019\u201c\u201d]", _WELL_FORMED.sub("", value)):
+        return (
+            f"{said}; texts, and values with a unit, stand in straight quotes, as in "
+            'carrier_flow = "4.0 L/min": correct that line'
+        )
     return f"{said}; correct that line"

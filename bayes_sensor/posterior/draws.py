@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bayes_sensor.campaign import FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
+from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT
 from bayes_sensor.posterior.quantiles import reaches_end, weighted_quantiles
 from bayes_sensor.posterior.settings import Settings
 from bayes_sensor.rig.lags import LAG_NAMES, Naming
 from bayes_sensor.rig.layout import Layout
-
-if TYPE_CHECKING:
-    pass
 
 NEVER = 1e-6
 """probability below which an assignment is not mentioned"""
@@ -197,17 +196,36 @@ class Draws:
 
     @cached_property
     def no_upper_limit(self) -> dict[str, float]:
-        """The upper end (s, mL) of the prior of each lag and volume whose draws reach it, by flat
-        name: there the prior decides, since the data do not."""
-        ends = {}
+        """The upper end (s, mL) of the default prior of each lag and volume whose draws reach it,
+        by flat name: there the prior decides, since the data do not."""
+        return {
+            self.names[i]: law.support[1]
+            for i, law in self._ended
+            if self.layout.names[i] not in self.problem.given_laws and self._reach(i, 0.0, law)
+        }
+
+    @cached_property
+    def cut_by_prior(self) -> dict[str, str]:
+        """The prior, in words, of each lag and volume whose draws reach an end of what the user
+        gave, by flat name."""
+        return {
+            self.names[i]: str(law)
+            for i, law in self._ended
+            if self.layout.names[i] in self.problem.given_laws
+            and self._reach(i, law.support[0], law)
+        }
+
+    @property
+    def _ended(self) -> Iterator[tuple[int, Prior]]:
+        """Places and laws of the shared parameters that vary up to an end."""
         for i, name in enumerate(self.layout.shared_names):
-            _, high = self.problem.priors[name].support
-            draws = self.draws[:, i]
-            if i in self.free and np.isfinite(high):
-                equal = np.full(len(draws), 1.0 / len(draws))
-                if reaches_end(draws, equal, 0.0, high):
-                    ends[self.names[i]] = float(high)
-        return ends
+            law = self.problem.priors[name]
+            if i in self.free and np.isfinite(law.support[1]):
+                yield i, law
+
+    def _reach(self, i: int, low: float, law: Prior) -> bool:
+        n = len(self.draws)
+        return reaches_end(self.draws[:, i], np.full(n, 1.0 / n), low, law.support[1])
 
     @cached_property
     def laws(self) -> dict[str, str]:

@@ -53,6 +53,11 @@ class Posterior(Draws):
             for name, end in self.no_upper_limit.items()
         ]
         found += [
+            f"the prior that was given, {law} {unit_of(name.partition('[')[0], '')}, ends the "
+            f"interval of {name}: the data would allow more"
+            for name, law in self.cut_by_prior.items()
+        ]
+        found += [
             f"default priors decide the interval of {name}: without them it lies outside with "
             f"{100.0 * outside:.0f} %; give a prior of your own, or record longer steps"
             for name, outside in self.decided_by_prior.items()

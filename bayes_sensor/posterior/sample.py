@@ -15,7 +15,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit, fit_least_squares, refit
 from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.identifiability import cannot_tell
-from bayes_sensor.fit.side_information import without_contradicted
+from bayes_sensor.fit.side_information import weigh_names, without_contradicted
 from bayes_sensor.io.given_options import record_of
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.posterior.agreement import Agreement, r_hat_between
@@ -142,13 +142,18 @@ def _sampled(
     report = progress or (lambda fraction, text: None)
     if fit is None or (isinstance(fit, Fit) and len(fit.theta_hat) != len(problem.layout)):
         fit = fit_least_squares(problem, seed=seed)  # misfit and noise are those of this model
-    # side information that the data contradict is reported and left out
-    problem = without_contradicted(problem, getattr(fit, "side_information", ()))
     problem.prior_table  # noqa: B018 - raises CampaignError where a parameter has no prior
     start = problem.by_size(start_vector(problem, getattr(fit, "theta_hat", fit)))
     mute = fit.cannot_tell if isinstance(fit, Fit) else _cannot_tell(problem, start)
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
+    caveats = list(getattr(fit, "caveats", ()))
+    if isinstance(fit, Fit) and fit.step_seen:
+        # what the data contradict is reported and left out; a fit of other priors did not say it
+        _, compared = weigh_names(problem, start)
+        problem = without_contradicted(problem, compared)
+        said = [each.sentence() for each in compared if each.contradicts]
+        caveats += [sentence for sentence in said if sentence not in caveats]
     # at equal flows lags have no names yet, at flows that are nearly so ensembles exchange them
     apart = problem.flow is None and flow_of_both(problem) is None
     twin = fit.twin if isinstance(fit, Fit) and apart else ""
@@ -206,7 +211,7 @@ def _sampled(
         seconds=perf_counter() - started,
         k_hat=run.k_hat,
         acceptance=run.acceptance,
-        caveats=getattr(fit, "caveats", ()),
+        caveats=tuple(caveats),
         hidden_by_sampling=getattr(fit, "hidden_by_sampling", None),
         remarks=(f"{twin}; the draws are about one of the two",) if twin else (),
         doubts=tuple(text for text in [noise_doubt(problem, start)] if text),

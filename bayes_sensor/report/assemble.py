@@ -45,10 +45,12 @@ class Report:
         return self.full or self.folded
 
     @property
-    def listed(self) -> list[Section]:
-        """The sections that are told; without details those that the first page does not answer."""
+    def listed(self) -> list[tuple[int, Section]]:
+        """The sections that are told, with the numbers that they have in every format; without
+        details those that the first page does not answer."""
         told = {"tau", *(fact.section for fact in self.first.facts)} if self.first.tau else set()
-        return [s for s in self.sections if self.with_details or s.key not in told]
+        numbered = enumerate(self.sections, 1)
+        return [(i, s) for i, s in numbered if self.with_details or s.key not in told]
 
     @property
     def numbers(self) -> dict[str, str]:

@@ -39,7 +39,7 @@ def left_out(gap: Mapping[str, Any] | None, posterior: Mapping[str, Any] | None)
     of, symbol = lag_of(gap["hidden"])
     names = list_words([effect_words(name) for name in verdict["effects"]])
     if verdict["kind"] == "unlisted" and not posterior.get("with_discrepancy"):
-        what = "a smooth discrepancy in the model, which stands for the unlisted cause"
+        what = "a smooth discrepancy in the model in place of the unlisted cause"
         option = "--with-discrepancy"
         row = gap.get(f"{of}_with_discrepancy_s") or {}
         ends = [row.get(key) for key in ("q2.5", "q50", "q97.5")]

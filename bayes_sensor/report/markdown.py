@@ -6,6 +6,7 @@ import re
 
 from bayes_sensor.report.assemble import Report
 from bayes_sensor.report.parts import Part, Table, pieces
+from bayes_sensor.report.words import sentence
 
 
 def escaped(text: str) -> str:
@@ -52,11 +53,11 @@ def document(report: Report, figure_folder: str = "figures") -> str:
     if first.tau:
         lines += [f"**{escaped(first.tau)}**", "", linked(first.why), ""]
     for fact in first.facts:
-        lines += [f"**{escaped(fact.label)}.** {linked(fact.text)}", ""]
+        lines += [f"**{escaped(sentence(fact.label))}** {linked(fact.text)}", ""]
     for part in first.content:
         lines += shown(part)
     lines += [f"> {escaped(text)}\n" for text in first.notes]
-    for i, section in enumerate(report.listed, 1):
+    for i, section in report.listed:
         lines += [f"## {i}. {escaped(section.title)}", "", f"**{linked(section.answer)}**", ""]
         if report.full:
             for text in section.paragraphs:

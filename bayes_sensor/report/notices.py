@@ -146,14 +146,14 @@ def _numbers(text: str) -> list[float]:
 def _together(rows: list[tuple[str, str]]) -> str:
     """One sentence for all that share a remark."""
     whose = [who for who, _ in rows if who]
-    words = rows[0][1]
-    if " up to " in words:  # of all
-        words = max((told for _, told in rows), key=_numbers)
+    first, words = rows[0]
+    if " up to " in words:  # the worst of all
+        first, words = max(rows, key=lambda row: _numbers(row[1]))
     if not whose:
         return sentence(typeset(words))
     label = list_words(whose)
     if label.startswith("'"):
         label = f"Experiment{'s' if len(whose) > 1 else ''} {label}"
     if len({text for _, text in rows}) > 1:  # alike, but for numbers
-        words = f"{words.removesuffix('.')} (numbers of {whose[0]})"
+        words = f"{words.removesuffix('.')} (numbers of {first})"
     return sentence(f"{label}: {typeset(words)}")

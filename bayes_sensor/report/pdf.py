@@ -46,7 +46,7 @@ def content(report: Report) -> dict[str, Any]:
                 "paragraphs": [spans(text) for text in section.paragraphs if report.full],
                 "content": parts(section.content if report.full else []),
             }
-            for section in report.listed
+            for _, section in report.listed
         ],
     }
 

@@ -109,8 +109,9 @@ def check_folder(folder: str | Path) -> Results:
     """The results directory; CampaignError if it is none."""
     results = Results(folder)
     if not results.folder.is_dir():
+        what = "this is a file" if results.folder.exists() else "there is no such folder"
         raise CampaignError(
-            f"{folder}: there is no such folder; expected a results folder: "
+            f"{folder}: {what}; expected a results folder: "
             "run bayes-sensor analyze CAMPAIGN.toml --out FOLDER first"
         )
     known = any(map(results.has, ("campaign.json", "score.json", "restored.json")))

@@ -125,8 +125,13 @@ def typeset(text: str) -> str:
 
 
 def sentence(text: str) -> str:
+    """A text with a capital and a full stop; symbols and names of parameters keep their case.
+
+    >>> sentence("the fit ended"), sentence("t_f[2] is open"), sentence("model right?")
+    ('The fit ended.', 't_f[2] is open.', 'Model right?')
+    """
     text = text.strip()
-    if text[:1].isascii():  # a Greek capital would be another letter
+    if re.match(r"[a-z][a-zA-Z'-]*(?=[\s,.:;?!]|$)", text):
         text = text[:1].upper() + text[1:]
     return text if text.endswith((".", "!", "?")) else text + "."
 

@@ -159,6 +159,8 @@ def test_figures_of_what_is_missing_say_so(loaded: Analysis, place: Path) -> Non
     ) == 0  # fmt: skip
     part = bs.load(place / "fit")
     assert part.posterior is part.bounds is part.delays is part.gap is None
+    (note,) = part.notes
+    assert note.startswith("posterior, predictive, bounds, delays, gap: not computed by this run")
     assert part.fit.rms == pytest.approx(loaded.fit.rms, rel=1e-6)  # of another seed
     assert "[[Parameters]]" in part.summary() and "[[Bounds of tau]]" not in part.summary()
     for name in ("corner", "intervals", "delays", "gap"):
@@ -262,3 +264,14 @@ def test_wrong_arguments(place: Path, arguments: dict[str, object], message: str
     with pytest.raises(bs.CampaignError, match=message):
         bs.analyze(**{"campaign": place / "campaign.toml", "out": place / "none", **arguments})
     assert not (place / "none").exists()
+
+
+def test_the_summary_tells_the_ends_of_an_interval_apart() -> None:
+    t = np.arange(0.0, 200.0, 0.1)
+    y = 401.0 - 20.0 * np.expm1(-np.maximum(t - 100.3, 0.0) / 4.0)
+    y += 0.02 * np.random.default_rng(1).standard_normal(len(t))
+    made = bs.Campaign.from_frames({"1": (t, y)}, stages=["sensor"], commanded_on="100 s")
+    text = bs.analyze(made, quick=True).summary()
+    ends = re.findall(r"(\S+): .* 95 % \[(\S+), (\S+)\]", text)
+    assert {"y0[1]", "t0[1]"} <= {name for name, _, _ in ends}
+    assert all(low != high for _, low, high in ends)

@@ -16,6 +16,7 @@ from bayes_sensor.fit import fit_least_squares
 from bayes_sensor.likelihood.density import simulate
 from bayes_sensor.posterior import sample_posterior
 from bayes_sensor.rig.layout import Layout
+from tests.support.other_rigs import CASES
 
 FLOWS = np.array([4.5, 3.5, 3.0, 9.0, 7.0, 6.0, 9.0])  # L/min
 INVERSE = 60.0 / FLOWS  # s/L
@@ -326,3 +327,11 @@ def test_a_point_off_an_exact_line_stands_out_without_limit() -> None:
     found = line.studentised
     assert found["c"] is not None and found["c"] > 1e6
     assert all(abs(found[name]) < 10.0 for name in "abde")
+
+
+@pytest.mark.parametrize("rig", ["staircase", "pulse train", "recorded input"])
+def test_programmes_have_no_delays_of_pulses(rig):
+    case = CASES[rig]()
+    found = regress_delays(case.design, Known(case.theta))
+    assert found.start.status == "No regression: it is of single pulses, and there is none."
+    assert found.end is None

@@ -22,6 +22,7 @@ from bayes_sensor.analysis.overrides import make_problem, read_overrides
 from bayes_sensor.analysis.posterior_step import saved_spreads, watching
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
+from bayes_sensor.cli.summary_lines import fit_words
 from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.results import Results
 from bayes_sensor.likelihood.prior_text import read_prior
@@ -496,6 +497,19 @@ def test_a_fit_that_sees_no_step_is_one_sentence(
     said = capsys.readouterr().err
     assert said.startswith("not converged: No step is seen")
     assert "mean nothing; the results are marked so" in said
+
+
+def test_a_file_is_no_results_folder(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("report", campaign) == 2
+    assert "this is a file; expected a results folder" in capsys.readouterr().err
+
+
+def test_lags_are_told_in_order() -> None:
+    values = {"lag_slow_s": 0.0489, "lag_fast_s": 0.0128, "lag_between_s": 0.02}
+    fit = SimpleNamespace(
+        estimates=lambda: dict(values), order="unknown", rms=0.01, signal_unit="V"
+    )
+    assert fit_words(fit).startswith("lags of 12.8 ms, 20.0 ms and 48.9 ms;")
 
 
 def test_a_checkpoint_of_other_settings_is_said_not_to_be_used(

@@ -53,6 +53,24 @@ def test_three_exports_become_a_campaign_that_is_checked_and_drawn(
     assert (folder / "check.png").read_bytes() == b"a photograph"
 
 
+@pytest.mark.parametrize(
+    ("levels", "told"),
+    [
+        ((0, 1, 3, 2, 0), r"4 steps from 7\.\d+ s on"),
+        ((0, 1, 0, 1, 0), r"on 7\.\d+ s and 1 more, off 15\.\d+ s and 1 more"),
+    ],
+)
+def test_several_switches_are_told(
+    levels: tuple[float, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x = np.repeat(levels, len(T) // len(levels))
+    x = x + 0.002 * np.random.default_rng(1).standard_normal(len(T))
+    rows = [f"{t:.6g},{y:.6g}" for t, y in zip(T, x)]
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,s_V", *rows]) + "\n")
+    assert run("init", tmp_path) == 0
+    assert re.search(f"a.csv, {told}", capsys.readouterr().out)
+
+
 def test_what_is_there_is_replaced_only_when_told(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

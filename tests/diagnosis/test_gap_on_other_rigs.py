@@ -304,3 +304,14 @@ def test_of_several_sensors_the_lag_is_stated_by_name() -> None:
     assert "tau[A]" in repr(gap)
     assert lag_of(gap.to_json()["hidden"]) == ("tau", "τ[A]")
     assert "τ[A] could be from" in gap_sentence(gap.to_json(), is_limit=False)
+
+
+@pytest.mark.parametrize("interval", [5.0, 10.0, 3600.0])
+def test_slow_samples_are_diagnosed(interval: float) -> None:
+    # what looks for seconds finds no sample in them
+    t = interval * np.arange(400.0)
+    y = 1.0 - 2.0 * np.expm1(-np.maximum(t - 150.5 * interval, 0.0) / (20.0 * interval))
+    y += 0.02 * np.random.default_rng(1).standard_normal(len(t))
+    campaign = Campaign.from_frames({"1": (t, y)}, stages=["sensor"], commanded_on=150.0 * interval)
+    gap = diagnose_gap(campaign, fit_least_squares(campaign, seed=1), seed=1)
+    assert gap.verdict.kind == "none"

@@ -235,6 +235,18 @@ def test_nothing_missing_leaves_a_range_of_the_shorter_lag() -> None:
     assert "with them the shorter lag could be anywhere from" in gap.verdict.sentence
 
 
+def test_strengths_that_look_alike_are_told_once() -> None:
+    campaign = measured("unknown")
+    binned = prepare(campaign, sorted_theta(campaign)).binned
+    drift = CATALOGUE["baseline_drift"]
+    told = [
+        effect_sentence(drift, {"warm_up": {"1": -0.15, "2": low}}, binned, "V")
+        for low in (-0.15001, -0.2)
+    ]
+    assert "-0.15 V" in told[0] and " to " not in told[0]
+    assert "-0.2 to -0.15 V" in told[1]
+
+
 def test_a_dependence_without_a_name_is_of_a_lag_by_its_size() -> None:
     campaign = measured("unknown")
     flat = sorted_theta(campaign)

@@ -66,6 +66,16 @@ def test_unknown_commands_and_designs_leave_gaps() -> None:
     assert table.loc["planned", "warnings"] == ""
 
 
+@pytest.mark.parametrize(("spike", "n"), [(1.0, 1), (0.0, 0)])
+def test_a_step_that_is_small_beside_a_spike_is_remarked_on(spike: float, n: int) -> None:
+    quiet = experiment(step=0.03, noise=0.001)
+    y = quiet.values + spike * ((T > 24.4) & (T < 25.0))
+    remarks = campaign_remarks(Campaign("x", (experiment(y=y),)))
+    assert len(remarks) == n
+    assert all("the step (0.03" in text and "is hidden by a change of 1" in text
+               for text in remarks)  # fmt: skip
+
+
 def test_no_step_and_equal_flows_are_remarked_on() -> None:
     campaign = Campaign(
         "x",

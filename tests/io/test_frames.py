@@ -158,3 +158,49 @@ def test_every_sensor_has_its_own_column() -> None:
     pair = bs.Campaign.from_frames(frame, signals={"A": "a_V", "B": "b_V"}, **keys)
     np.testing.assert_array_equal(pair["1,A"].values, Y)
     np.testing.assert_array_equal(pair["1,B"].values, 2.0 * Y + 1.0)
+
+
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Zurich", "Asia/Kolkata"])
+def test_commanded_times_are_on_the_clock_of_a_zone(zone: str | None) -> None:
+    index = pd.date_range("2024-05-01 23:50", freq="5s", periods=len(T), tz=zone)
+    at = index[0] + pd.Timedelta("2 s")
+    for frame in (pd.DataFrame({"y": Y}, index=index), pd.DataFrame({"time": index, "y": Y})):
+        for command in ("23:50:02", "2024-05-01 23:50:02", at, at.to_pydatetime()):
+            made = bs.Campaign.from_frames(frame, stages=["sensor"], commanded_on=command)
+            assert made.experiments[0].commanded_on == 2.0
+    if zone is not None:  # the same moment, in another zone
+        made = bs.Campaign.from_frames(
+            frame, stages=["sensor"], commanded_on=at.tz_convert("America/Lima")
+        )
+        assert made.experiments[0].commanded_on == 2.0
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather"])
+def test_the_zone_of_a_file_is_that_of_its_commands(suffix: str, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    index = pd.date_range("2024-05-01 12:00", freq="5s", periods=len(T), tz="Europe/Zurich")
+    getattr(pd.DataFrame({"time": index, "y_V": Y}), f"to_{suffix}")(tmp_path / f"a.{suffix}")
+    (tmp_path / "campaign.toml").write_text(
+        f'[rig]\nstages = ["sensor"]\n[[experiment]]\nname = "1"\nfile = "a.{suffix}"\n'
+        'commanded_on = "12:00:02"\n'
+    )
+    assert bs.read_campaign(tmp_path / "campaign.toml").experiments[0].commanded_on == 2.0
+
+
+def test_an_hour_that_is_there_twice_is_counted_on() -> None:
+    index = pd.date_range("2024-10-27 01:50", freq="60s", periods=len(T), tz="Europe/Zurich")
+    made = bs.Campaign.from_frames(
+        pd.DataFrame({"y": Y}, index=index), stages=["sensor"], commanded_on="01:55:00"
+    )
+    assert made.experiments[0].commanded_on == 300.0
+    assert made.experiments[0].t[-1] == 60.0 * (len(T) - 1)
+
+
+def test_masked_samples_are_left_out() -> None:
+    masked = np.ma.masked_array(np.where(T > T[-5], 99.0, Y), mask=T > T[-5])
+    gaps = np.where(T > T[-5], np.nan, Y)
+    made, same = (
+        bs.Campaign.from_frames({"1": (T, y)}, stages=["sensor"], commanded_on=1.0)
+        for y in (masked, gaps)
+    )
+    assert made.n_samples == same.n_samples < len(T)

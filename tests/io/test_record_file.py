@@ -7,6 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from bayes_sensor.campaign import CampaignError
+from bayes_sensor.io.readers import read_campaign
 from bayes_sensor.io.record_file import read_record
 
 
@@ -57,6 +58,12 @@ def test_matlab_days_are_days_and_seconds_stay_seconds(tmp_path: Path) -> None:
     days = read_record(tmp_path / "days.mat", signal="slow")
     np.testing.assert_allclose(np.diff(days.t), 2.0, rtol=1e-3)  # datenum resolves 10 us
     assert days.t[0] == 0.0 and "MATLAB's days" in days.notes[0]
+    (tmp_path / "campaign.toml").write_text(
+        '[rig]\nstages = ["sensor"]\n[[experiment]]\nname = "1"\nfile = "days.mat"\n'
+        'commanded_on = "2015-10-22 10:50:00"\n'
+    )
+    found = read_campaign(tmp_path / "campaign.toml")  # as in a campaign
+    assert found["1"].commanded_on == 120.0 and "MATLAB's days" in found.warnings[0]
     savemat(tmp_path / "seconds.mat", {"time": t, "slow": y})
     np.testing.assert_allclose(read_record(tmp_path / "seconds.mat", signal="slow").t, t)
 

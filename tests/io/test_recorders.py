@@ -137,6 +137,16 @@ def test_commands_that_the_record_cannot_place(
         read(tmp_path, lines(f"{header},gas_V", *samples(times, Y)), commanded_on=f'"{on}"')
 
 
+@pytest.mark.parametrize("on", ["2025-05-01 12:00:02", "9e11 s"])
+def test_a_command_of_another_year_is_told_the_dates_of_the_record(on: str, tmp_path: Path) -> None:
+    table = lines("when,gas_V", *samples(stamps("%Y-%m-%d %H:%M:%S.%f3"), Y))
+    with pytest.raises(CampaignError, match=r"outside the record, which runs from 0 s \(") as told:
+        read(tmp_path, table, commanded_on=f'"{on}"')
+    text = str(told.value)
+    assert "from 0 s (2024-05-01 12:00:00) to 7.98 s (2024-05-01 12:00:07.980000);" in text
+    assert ("commanded_on = 31536002 s (2025-05-01 12:00:02) lies" in text) == (on[-1] != "s")
+
+
 def test_rows_in_messages_are_those_of_the_file(tmp_path: Path) -> None:
     rows = [f"{s} -> {y}" for s, y in zip(stamps("%H:%M:%S.%f3"), Y, strict=True)]
     rows[9] = rows[8]

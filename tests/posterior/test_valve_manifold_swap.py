@@ -18,6 +18,7 @@ from bayes_sensor.fit import Fit, fit_least_squares
 from bayes_sensor.fit.side_information import Estimates, weigh_names
 from bayes_sensor.likelihood.density import log_likelihood, simulate
 from bayes_sensor.likelihood.prior_density import log_prior, log_prior_derivatives
+from bayes_sensor.likelihood.priors import Prior
 from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior import Posterior, Settings, sample_posterior
 from bayes_sensor.posterior.quantiles import weighted_quantiles
@@ -201,9 +202,8 @@ def test_what_the_data_say_of_lags_is_what_a_posterior_says() -> None:
         assert drawn[:, place].std() == pytest.approx(sd, rel=0.03)
         # two sd either way, and joint with side information, as for Gaussian numbers
         assert estimates.away(np.array(value + 2.0 * sd)) == pytest.approx(2.0, rel=0.02)
-        assert estimates.distance(place, value + 6.0 * sd, 2.0 * sd) == (
-            pytest.approx(6.0 / np.sqrt(5.0), rel=0.02)
-        )
+        law = Prior("normal", value + 6.0 * sd, 2.0 * sd)
+        assert estimates.distance(place, law) == pytest.approx(6.0 / np.sqrt(5.0), rel=0.02)
 
 
 @pytest.mark.parametrize("flow", [None, 50.0])
@@ -211,12 +211,12 @@ def test_equal_lags_are_told_from_others(flow: float | None) -> None:
     # e_1 and e_2 of squares 1, 1 (, .04) in units of the longest, known to a thousandth
     lags = np.array([1.0, 1.0]) if flow is None else np.array([0.2, 1.0, 1.0])
     others = np.array([50.0]) if flow is None else np.empty(0)
-    estimates = Estimates(commuting(flow), lags, others, 1.0, 1e-6 * np.eye(3))
+    estimates = Estimates(commuting(flow), lags, others, 1.0, 1e-6 * np.eye(3), {})
     a, b = (estimates.lag(place) for place in (len(lags) - 2, len(lags) - 1))
     # (x^2 - 1)^2 is known to a thousandth: x to a few hundredths, not to infinity
     assert 0.003 < a[1] < 0.05 and 0.003 < b[1] < 0.05
-    assert estimates.distance(len(lags) - 1, 1.5, 0.02) > 10.0
-    assert estimates.distance(len(lags) - 1, 1.02, 0.02) < 1.0
+    assert estimates.distance(len(lags) - 1, Prior("normal", 1.5, 0.02)) > 10.0
+    assert estimates.distance(len(lags) - 1, Prior("normal", 1.02, 0.02)) < 1.0
     drawn = estimates.draw(4000, np.random.default_rng(1))
     assert (drawn[:, 0] <= drawn[:, 1]).all()
     assert drawn[:, 1].mean() == pytest.approx(1.02, abs=0.02)
@@ -225,10 +225,11 @@ def test_equal_lags_are_told_from_others(flow: float | None) -> None:
 def test_right_side_information_is_seldom_called_wrong() -> None:
     # 50 % of a lag that the data hold to a thousandth: a fixed formula would miss the square
     estimates = Estimates(
-        commuting(None), np.array([0.3, 1.0]), np.array([50.0]), 1.0, 1e-9 * np.eye(3)
+        commuting(None), np.array([0.3, 1.0]), np.array([50.0]), 1.0, 1e-9 * np.eye(3), {}
     )
     rng = np.random.default_rng(4)
-    told = [estimates.distance(0, rng.normal(0.3, 0.15), 0.15) for _ in range(2000)]
+    laws = [Prior("normal", rng.normal(0.3, 0.15), 0.15) for _ in range(2000)]
+    told = [estimates.distance(0, law) for law in laws]
     assert np.mean(np.array(told) > 3.0) < 0.0027 + 3.0 * np.sqrt(0.0027 / 2000)
     assert np.mean(np.array(told) > 1.0) == pytest.approx(0.317, abs=0.04)
 

@@ -46,7 +46,7 @@ from bayes_sensor.report import (
     write_report,
 )
 from bayes_sensor.report.drawing import inline_svg
-from bayes_sensor.report.first_page import first_page
+from bayes_sensor.report.first_page import Fact, first_page
 from bayes_sensor.report.gap_words import gap_sentence, with_the_effect
 from bayes_sensor.report.html import zoom_data
 from bayes_sensor.report.markdown import escaped
@@ -1115,8 +1115,33 @@ def test_the_answer_is_on_two_pages(saved: Saved, paper: Callable[[Report], list
     assert [picture.key for picture in made.pictures()][:1] == ["chain"]
     assert len(list(made.pictures())) == 2
     assert len(paper(made)) == 2
-    keys = {section.key for section in made.listed}
+    keys = {section.key for _, section in made.listed}
     assert "tau" not in keys and "noise" not in keys and {"measured", "computed"} <= keys
+
+
+def test_a_section_has_one_number_in_every_format(saved: Saved) -> None:
+    page = html.page(assemble(saved))
+    made = assemble(saved, folded=False)
+    made.first.facts.append(Fact("Model right?", "No.", "gap"))
+    text = markdown.document(made)
+    numbered = re.findall(r"^## (\d+)\. (.*)$", text, re.MULTILINE)
+    assert len(numbered) > 3 and int(numbered[-1][0]) > len(numbered)
+    for i, title in numbered:
+        assert f'<span class="count">{i}</span> {title}</h2>' in page
+    assert "**Model right?** No." in text
+
+
+def test_the_time_of_the_chain_is_told_once_for_one_flow(saved: Saved) -> None:
+    assert saved.coating is not None
+    rows = saved.coating["response_times"]
+    chain = next(row for row in rows if row["system"].startswith("chain"))
+    one = {**saved.coating, "response_times": [*rows, chain]}
+    answers = [
+        section.answer
+        for section in assemble(replace(saved, coating=one)).sections
+        if section.key == "coating"
+    ]
+    assert [answer.count(" L/min") for answer in answers] == [1]
 
 
 def test_no_page_on_paper_is_left_half_empty_and_nothing_stands_in_the_margin(
@@ -1388,6 +1413,9 @@ def test_a_remark_that_several_share_is_said_once(saved: Saved) -> None:
     numbers = [("1", "a", 0.2), ("2", "b", 0.31)]
     texts = [f"Experiment '{k}' ({name}.csv): a step of {step} s" for k, name, step in numbers]
     assert told(*texts) == ["Experiments '1' and '2': a step of 0.2 s (numbers of '1')."]
+    texts = [f"experiment '{i}': misses by up to {i} V ({90 - i} %)" for i in (1, 3, 2)]
+    whole = "Experiments '1', '3' and '2': misses by up to 3 V (87 %) (numbers of '3')."
+    assert told(*texts) == [whole]  # those of the worst
     small = "is too small for these data to see"
     subjects = ("the shorter lag", "the longer lag", "V_mL")
     assert told(*(f"{subject} {small}" for subject in subjects), "another") == [

@@ -398,6 +398,15 @@ def test_the_page_on_other_rigs_says_what_real_records_show() -> None:
         round(100 * float(chain["share95"]))
     ]
     assert int(chain["too_low"]) > 2 * int(chain["too_high"])  # "most of the others lie below it"
+    (plain,) = [
+        r
+        for r in rows("other_rigs")
+        if (r["rig"], r["parameter"]) == of_chain and r["method"] == "sandwich"
+    ]
+    assert numbers(r"no prior, holds it in (\d+) % and", TEXT["other_rigs.md"]) == [
+        round(100 * float(plain["share95"]))
+    ]
+    assert int(plain["too_high"]) == 0 < int(plain["too_low"])  # "on that side only"
     assert all(
         float(r["share95"]) >= 0.92
         for r in simulated

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayes_sensor.analysis.analyze import analyze
+from bayes_sensor.analysis.job import Job
+from bayes_sensor.analysis.run_steps import TAKE
 from bayes_sensor.campaign import CampaignError
 from bayes_sensor.cli import exit_code
 from bayes_sensor.cli.terminal import muted, progress_bar
@@ -321,6 +324,44 @@ def test_results_of_another_campaign_are_pointed_out(
     path = str(written(tmp_path, "a.csv", PLAIN, 'drive = "valve"\nmask = [["1 s", "2 s"]]'))
     assert exit_code(["delays", path, *out]) in (0, 3)
     assert "also holds fit of other data or settings" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("out", [[], ["out"]])
+def test_a_late_command_is_told_before_the_error_that_it_may_cause(
+    out: list[str], tmp_path: Path, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def fails(job: Job) -> None:
+        raise CampaignError("experiment '1': nothing can be told")
+
+    monkeypatch.setitem(TAKE, "fit", fails)
+    path = written(tmp_path, "a.csv", PLAIN, f'commanded_on = "{ON + 2} s"')
+    with pytest.raises(CampaignError, match="nothing can be told"):
+        analyze(path, out=tmp_path / out[0] if out else None)
+    assert any("comes after the step that it commands" in r.getMessage() for r in caplog.records)
+
+
+def test_results_of_another_campaign_are_not_resumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shorter = PLAIN[: PLAIN.rindex("\n", 0, -1) + 1]
+    out = tmp_path / "out"
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    path = str(written(tmp_path / "a", "a.csv", PLAIN, 'drive = "valve"'))
+    assert exit_code(["delays", path, "--out", str(out)]) in (0, 3)
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    other = str(written(tmp_path / "b", "a.csv", shorter, 'drive = "valve"'))
+    capsys.readouterr()
+    assert exit_code(["fit", other, "--resume", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"holds results of another campaign ({path})" in said and said.count("\n") == 1
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    Path(path).rename(tmp_path / "a" / "moved.toml")  # the same data
+    moved = str(tmp_path / "a" / "moved.toml")
+    assert exit_code(["fit", moved, "--resume", "--out", str(out)]) in (0, 3)
+    (tmp_path / "a" / "a.csv").write_text(shorter)  # recorded anew
+    assert exit_code(["fit", moved, "--resume", "--out", str(out)]) in (0, 3)
 
 
 def test_a_simulation_is_not_taken_for_results_of_other_data(tmp_path: Path) -> None:

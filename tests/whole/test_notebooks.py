@@ -1,10 +1,12 @@
 """Every notebook runs from top to bottom, and one number of each is checked; so does the script."""
 
 import json
+import re
 import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bayes_sensor.cli import main
@@ -158,6 +160,18 @@ def test_the_script_compares_in_under_twenty_lines(
     runpy.run_path(str(script))
     assert "jackknife_experiments: assumes" in capsys.readouterr().out
     assert picture.stat().st_size > 1000
+    t = np.arange(0.0, 20.0, 0.05)  # and of a sensor alone
+    y = 1.0 - np.expm1(-np.maximum(t - 5.3, 0.0) / 2.0)
+    y += 0.01 * np.random.default_rng(1).standard_normal(len(t))
+    np.savetxt(tmp_path / "a.csv", np.c_[t, y], delimiter=",", header="t_s,y_V", comments="")
+    path = tmp_path / "alone.toml"
+    path.write_text(
+        '[rig]\nstages = ["sensor"]\n[[experiment]]\nname = "1"\nfile = "a.csv"\n'
+        'commanded_on = "5 s"\n'
+    )
+    monkeypatch.setattr(sys, "argv", [str(script), str(path), str(picture)])
+    runpy.run_path(str(script))
+    assert re.search(r"^tau_s +crlb_iid ", capsys.readouterr().out, re.MULTILINE)
 
 
 @pytest.mark.slow

@@ -19,9 +19,8 @@ def posterior_intervals(evidence: Evidence) -> Bound:
     index = [evidence.problem.layout.index(name) for name in names]
     draws = draws[:, index]
     tails = [0.5 - 0.5 * level for level in LEVELS.values()]
-    # Weibull's plotting position: the mass beyond an end is right on average over the draws
-    low = np.quantile(draws, tails, axis=0, method="weibull").T
-    high = np.quantile(draws, [1.0 - tail for tail in tails], axis=0, method="weibull").T
+    low = np.quantile(draws, tails, axis=0).T
+    high = np.quantile(draws, [1.0 - tail for tail in tails], axis=0).T
     return Bound(
         names,
         np.median(draws, axis=0),

@@ -79,6 +79,8 @@ def _transient_line(pieces: Sequence[Piece], seconds: float) -> Finding | None:
     size = max(1, round(BLOCK / common))
     dt = size * common
     n, step = round(seconds / dt), max(round(0.5 * seconds / dt), 1)
+    if n * HIGHEST_LINE < CYCLES:  # no frequency is left between the slowest and the fastest
+        return None
     used = [p for p in pieces if abs(p.interval - common) < 1e-9 * common]
     counts = [max((len(p.samples) // size - n) // step + 1, 0) for p in used]
     if sum(counts) < FEWEST:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_sensor.io.readers.frame import recording_of_frame
+from bayes_sensor.io.readers.frame import offset_of, recording_of_frame
 from bayes_sensor.io.readers.recording import (
     DataFile,
     Recording,
@@ -79,7 +79,11 @@ def _read(file: DataFile, selection: Selection, table: Any) -> Recording:
             f"{names.count(repeated)} times; give each column its own name"
         )
     columns = {name: _values(column) for name, column in zip(names, table.columns, strict=True)}
-    return recording_of_frame(columns, file, selection)
+    offsets = {}
+    for name, column in zip(names, table.columns, strict=True):
+        if getattr(column.type, "tz", None) and len(there := column.drop_null()):
+            offsets[name] = offset_of(there[0].as_py())
+    return recording_of_frame(columns, offsets, file, selection)
 
 
 def _values(column: Any) -> NDArray[Any]:

@@ -162,7 +162,7 @@ def assemble(entry: ExperimentTable, file: DataFile, recording: Recording) -> As
         commands = within_record(commands, t, where, notes)
     on = told.on if told.on is not None else drive_on
     off = told.off if told.off is not None else drive_off
-    on, off = check_times(on, off, t, where, notes)
+    on, off = check_times(on, off, t, where, notes, recording.clock)
     compare_times(told, where, drive_on, drive_off, notes)
 
     used = present & ~excluded

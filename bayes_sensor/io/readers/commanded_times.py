@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
 from bayes_sensor.campaign import CampaignError, Commands, FloatArray
 from bayes_sensor.io.readers.campaign_file import ExperimentTable
@@ -122,8 +123,21 @@ def drive_commands(
 
 
 def check_times(
-    on: float | None, off: float | None, t: FloatArray, where: str, notes: list[str]
+    on: float | None,
+    off: float | None,
+    t: FloatArray,
+    where: str,
+    notes: list[str],
+    clock: Clock | None = None,
 ) -> tuple[float | None, float | None]:
+    """The commanded times of one pulse, checked with the record.
+
+    ``clock``: the recorder's, whose dates are told, too.
+    """
+
+    def told(time: float) -> str:
+        return f"{time:.10g} s{_date(time, clock)}"
+
     first, last = float(t[0]), float(t[-1])
     if off is not None and on is None:
         raise CampaignError(
@@ -138,8 +152,8 @@ def check_times(
         if 100 < ratio < 1e4:
             hint = " (is time in ms but read as s, or the other way round?)"
         raise CampaignError(
-            f"{where}: commanded_on = {on:.10g} s lies outside the record, which runs from "
-            f"{first:.10g} s to {last:.10g} s{hint}; expected a time on the record's own "
+            f"{where}: commanded_on = {told(on)} lies outside the record, which runs from "
+            f"{told(first)} to {told(last)}{hint}; expected a time on the record's own "
             "axis: correct commanded_on, or the crop in keep"
         )
     if off is not None and off <= on:
@@ -154,6 +168,17 @@ def check_times(
         )
         off = None
     return on, off
+
+
+def _date(time: float, clock: Clock | None) -> str:
+    """The date of a time (s) in brackets; empty where the recorder's clock has none."""
+    if clock is None or not clock.dated:
+        return ""
+    try:
+        since = timedelta(microseconds=round((clock.ns + clock.offset) / 1000 + 1e6 * time))
+        return f" ({datetime(1970, 1, 1) + since})"
+    except OverflowError:
+        return ""
 
 
 def compare_times(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -34,10 +36,13 @@ _GIVE = (
 )
 
 
-def columns_of(frame: Any, where: str) -> dict[str, NDArray[Any]]:
-    """The columns of a frame as arrays (n,), times first where they are its index.
+def columns_of(frame: Any, where: str) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """The columns of a frame as arrays (n,), times first where they are its index, and the offset
+    from UTC (ns) at the first time of those that have a zone; they are in UTC.
 
-    >>> list(columns_of((np.arange(3.0), np.ones(3)), "experiment '1'"))
+    What is masked in a masked array is nan.
+
+    >>> list(columns_of((np.arange(3.0), np.ones(3)), "experiment '1'")[0])
     ['t', 'y']
 
     Raises
@@ -47,7 +52,15 @@ def columns_of(frame: Any, where: str) -> dict[str, NDArray[Any]]:
     """
     columns = _columns(frame, where)
     found: dict[str, NDArray[Any]] = {}
+    offsets: dict[str, int] = {}
     for name, values in columns.items():
+        if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "biuf":
+            values = np.ma.filled(values.astype(float), np.nan)
+        if getattr(getattr(values, "dtype", None), "tz", None) is not None:
+            there = values[values.notna()]
+            if len(there):
+                offsets[str(name)] = offset_of(there.iloc[0])
+            values = values.dt.tz_convert("UTC").dt.tz_localize(None)
         array = np.asarray(values)
         if array.dtype.kind == "O":
             array = _of_objects(array)
@@ -63,7 +76,12 @@ def columns_of(frame: Any, where: str) -> dict[str, NDArray[Any]]:
         raise CampaignError(f"{where}: expected vectors of one length, but got {told}")
     if not found or lengths == {0}:
         raise CampaignError(f"{where}: expected samples, but there are none; {_GIVE}")
-    return found
+    return found, offsets
+
+
+def offset_of(moment: datetime) -> int:
+    """ns, the offset from UTC of a time; 0 where it has no zone."""
+    return (moment.utcoffset() or timedelta()) // timedelta(microseconds=1) * 1000
 
 
 def is_frame(thing: Any) -> bool:
@@ -128,15 +146,15 @@ def _columns_of_pandas(frame: Any, where: str) -> dict[str, Any]:
     if counts or (timed and index.name is None) or str(index.name) in names:
         return columns
     values = _plain_values(index.to_series())
-    if values.dtype.kind not in "Mmiuf":
+    if getattr(values.dtype, "kind", "O") not in "Mmiuf":
         return columns
     return {str(index.name or "time"): values, **columns}
 
 
-def _plain_values(series: Any) -> NDArray[Any]:
-    """Times of any zone in UTC, numbers as floats or whole numbers."""
-    if getattr(series.dt if hasattr(series, "dt") else None, "tz", None) is not None:
-        series = series.dt.tz_convert("UTC").dt.tz_localize(None)
+def _plain_values(series: Any) -> Any:
+    """Numbers as floats or whole numbers; times with a zone stay a series."""
+    if getattr(series.dtype, "tz", None) is not None:
+        return series
     kind = getattr(series.dtype, "kind", "O")
     if kind in "Mm":
         return np.asarray(series.to_numpy())
@@ -154,9 +172,13 @@ def _of_objects(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def recording_of_frame(
-    columns: Mapping[str, NDArray[Any]], file: DataFile, selection: Selection
+    columns: Mapping[str, NDArray[Any]],
+    offsets: Mapping[str, int],
+    file: DataFile,
+    selection: Selection,
 ) -> Recording:
-    """The recording of columns; ``file`` stands for them in messages.
+    """The recording of columns with their ``offsets`` (see :func:`columns_of`); ``file`` stands for
+    them in messages.
 
     Raises
     ------
@@ -192,6 +214,8 @@ def recording_of_frame(
                 "numbers in s, datetime64 or timedelta64"
             )
         t, clock, remark = number_times(file, facts[time].column, values[time][keep])
+        if clock is not None:
+            clock = replace(clock, offset=offsets.get(names[time], 0))
         notes += [remark] if remark else []
     rows = np.flatnonzero(keep)
     return Recording(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import warnings
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers.recording import (
     MAX_SAMPLES,
+    Clock,
     DataFile,
     Recording,
     Selection,
@@ -39,6 +40,11 @@ _CLOCK = ("Tstart", "Tinterval", "Length")
 _WHAT = "a MATLAB file (.mat)"
 _MOST_BYTES = 8 * MAX_SAMPLES
 """bytes to which the compressed variables of a file may unpack"""
+DATE_NUMBERS = (6.5e5, 8.0e5)
+"""days, MATLAB's numbers of the years 1779 to 2190"""
+DAYS_TO_1970 = 719529
+LONGEST_STEP = 0.5
+"""days between samples, up to which times are taken as date numbers"""
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -109,7 +115,7 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
     if has_clock:
         start, interval = _clock(file, content, len(y))
     n = sizes[vectors[signal]]
-    return recording_of_vectors(
+    recording = recording_of_vectors(
         file, columns, (time, signal, drive), (written, y, d), called="the {} vector",
         fix="save them with the same length", start=start, interval=interval,
         channels=[
@@ -118,6 +124,27 @@ def read_matlab(file: DataFile, selection: Selection) -> Recording:
             if i != time and not is_time(column) and sizes[vectors[i]] == n
         ],
     )  # fmt: skip
+    return _in_seconds(recording) if _are_date_numbers(recording) else recording
+
+
+def _are_date_numbers(recording: Recording) -> bool:
+    """Whether the times are MATLAB's ``datenum``: days since the year 0, without a unit."""
+    t = recording.t
+    if recording.interval is not None or recording.timed or len(t) < 2 or not np.isfinite(t).all():
+        return False
+    return bool(DATE_NUMBERS[0] < t[0] < DATE_NUMBERS[1] and np.median(np.diff(t)) < LONGEST_STEP)
+
+
+def _in_seconds(recording: Recording) -> Recording:
+    """The recording with date numbers as seconds from the first, which the clock has."""
+    first = float(recording.t[0])
+    told = "times are MATLAB's days and were taken as such, from the first sample"
+    return replace(
+        recording,
+        t=np.round(86400.0 * (recording.t - first), 4),  # datenum resolves 10 us
+        clock=Clock(round((first - DAYS_TO_1970) * 86_400_000) * 1_000_000, True),
+        notes=(*recording.notes, told),
+    )
 
 
 def _vector(file: DataFile, content: dict[str, Any], name: str) -> FloatArray:

@@ -9,13 +9,12 @@ import numpy as np
 from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.io.readers.campaign_file import ExperimentTable
 from bayes_sensor.io.readers.recording import Recording, Selection
+from bayes_sensor.io.readers.table import FIRST_DAY, LAST_DAY
 
 MOST = 4
 """other times that are looked at"""
 LIKE = 0.01
 """share by which the lengths of one record by two clocks may differ"""
-FIRST_DAY = 2e4
-"""days since 1900; those of MATLAB and of astronomers are larger still"""
 
 
 def time_remarks(
@@ -30,9 +29,12 @@ def time_remarks(
     t = recording.t[np.isfinite(recording.t)]
     unstated = recording.interval is None and recording.clock is None and not recording.timed
     if unstated and len(t) > 1 and t[0] >= FIRST_DAY and t[-1] - t[0] < 1.0:
+        fix = "convert them to seconds"
+        if t[-1] <= LAST_DAY:  # those of MATLAB and of astronomers are larger still
+            fix = f"call them datetime, so that they are read as days, or {fix}"
         found.append(
             f"the times run from {t[0]:.10g} to {t[-1]:.10g} and were taken as seconds, but look "
-            "like days as spreadsheets count them; name the column date_days, or convert it"
+            f"like days; {fix}"
         )
     if entry.time is not None or entry.interval is not None:
         return found

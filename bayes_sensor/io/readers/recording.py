@@ -29,7 +29,8 @@ _TIME_NAMES = frozenset(
 DATE_NAMES = frozenset("date datum day fecha".split())
 _SUFFIX_UNITS = frozenset(
     "s sec ms us µs μs ns min h V mV uV µV μV kV ppm ppb ohm kohm Mohm Ω kΩ "
-    "mW uW µW μW nW pW mA uA µA μA nA pA percent Pa kPa hPa mbar dB dBm".split()
+    "mW uW µW μW nW pW mA uA µA μA nA pA percent % Pa kPa hPa mbar bar dB dBm degC degF "
+    "°C °F".split()
 )
 
 

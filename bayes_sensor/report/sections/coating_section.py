@@ -38,7 +38,8 @@ def coating(saved: Saved) -> Section | None:
     else:
         alone = "How long the sensor alone takes depends on which lag is its, and that is not known"
     answer = f"{alone}; the whole {slow['system']} takes {_time(slow, 't90', 1.0)} s{_at(slow)}"
-    if fast is not slow:
+    same_flow = fast["system"] == slow["system"] and _at(fast) == _at(slow)
+    if fast is not slow and not same_flow:
         to = "" if fast["system"] == slow["system"] else f", the {fast['system']}"
         answer += f"{to or ' and'} {_time(fast, 't90', 1.0)} s{_at(fast)}"
     answer += f" (median and 95 % interval){see('response-times')}."
