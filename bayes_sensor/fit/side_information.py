@@ -22,6 +22,7 @@ import numpy as np
 from scipy import optimize
 
 from bayes_sensor.campaign import FloatArray
+from bayes_sensor.io.json_files import plain
 from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.mesh import expected_information
 from bayes_sensor.likelihood.priors import Prior
@@ -272,7 +273,7 @@ class SideComparison:
             "sd": float(self.law.law.std()),
             "data_mean": self.data,
             "data_sd": self.data_sd,
-            "distance_sd": self.distance,
+            "distance_sd": plain(self.distance),
             "contradicts": self.contradicts,
         }
 
@@ -329,7 +330,7 @@ def _compare(
             for name, law in known.items()
         )
         total = sum(each.distance**2 for each in found)
-        if total < least:
+        if not best or total < least:
             best, least = found, total
     return best
 

@@ -201,13 +201,15 @@ class Draws:
         return {
             self.names[i]: law.support[1]
             for i, law in self._ended
-            if self.layout.names[i] not in self.problem.given_laws and self._reach(i, 0.0, law)
+            if i < self.layout.n_shared
+            and self.layout.names[i] not in self.problem.given_laws
+            and self._reach(i, 0.0, law)
         }
 
     @cached_property
     def cut_by_prior(self) -> dict[str, str]:
-        """The prior, in words, of each lag and volume whose draws reach an end of what the user
-        gave, by flat name."""
+        """The prior, in words, of each lag, volume and parameter of the noise whose draws reach an
+        end of what the user gave, by flat name."""
         return {
             self.names[i]: str(law)
             for i, law in self._ended
@@ -217,9 +219,10 @@ class Draws:
 
     @property
     def _ended(self) -> Iterator[tuple[int, Prior]]:
-        """Places and laws of the shared parameters that vary up to an end."""
-        for i, name in enumerate(self.layout.shared_names):
-            law = self.problem.priors[name]
+        """Places and laws of what varies up to an end: lags, volumes and the noise."""
+        layout = self.layout
+        for name in (*layout.shared_names, *layout.noise_names):
+            i, law = layout.index(name), self.problem.priors[name]
             if i in self.free and np.isfinite(law.support[1]):
                 yield i, law
 

@@ -17,12 +17,16 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from bayes_sensor.campaign import FloatArray
+from bayes_sensor.campaign import CampaignError, FloatArray
 from bayes_sensor.likelihood.coordinates import Coordinates
 from bayes_sensor.likelihood.mesh import Compressed, Region, compress
 from bayes_sensor.likelihood.prior_density import log_prior_derivatives, log_priors
 from bayes_sensor.likelihood.problem import Problem
 
+NO_START = (
+    "no starting point with a positive posterior density was found; "
+    "the priors (side information, commanded times) contradict the data"
+)
 MESH_LIMIT = 5e-4
 """error in log L at a few draws above which blocks are made narrower; promised is 1e-3"""
 WIDER_LAW = 3.0
@@ -241,6 +245,8 @@ def approximate(
         candidate = coordinates.theta(psi)
         _, g = mesh.value_and_gradient(candidate)
         g = g + prior_gradient(problem, candidate)
+        if not np.isfinite(g).all():  # outside the support of a prior
+            raise CampaignError(NO_START)
         slopes: FloatArray = coordinates.slopes(candidate).T @ g[free]
         return slopes
 

@@ -53,8 +53,8 @@ class Posterior(Draws):
             for name, end in self.no_upper_limit.items()
         ]
         found += [
-            f"the prior that was given, {law} {unit_of(name.partition('[')[0], '')}, ends the "
-            f"interval of {name}: the data would allow more"
+            f"the prior that was given of {name}, {law}, ends its interval: the data would allow "
+            "more"
             for name, law in self.cut_by_prior.items()
         ]
         found += [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,4 +71,44 @@ def test_a_prior_that_ends_the_interval_is_not_taken_for_the_data() -> None:
     posterior = bs.sample_posterior(problem, fit, seed=1, sampler="independence")
     assert posterior.no_upper_limit == {}
     (text,) = posterior.warnings
-    assert text.startswith("the prior that was given, uniform(1, 4) s, ends the interval of tau_s")
+    assert text.startswith("the prior that was given of tau_s, uniform(1, 4), ends its interval")
+
+
+@pytest.mark.parametrize("law", ["uniform(-0.9, -0.5)", "uniform(0.9, 0.95)"])
+def test_a_prior_that_ends_the_interval_of_the_noise_is_said(law: str) -> None:
+    campaign, fit = probe("10 s")
+    problem = bs.make_problem(campaign, {"phi": law})
+    posterior = bs.sample_posterior(problem, fit, seed=1, sampler="independence")
+    said = f"the prior that was given of phi, {law}, ends its interval"
+    assert any(text.startswith(said) for text in posterior.warnings)
+
+
+def test_a_prior_between_two_lags_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "design.toml"
+    pulse = 'commanded_on = "2 s"\ncommanded_off = "8 s"\ninterval = "10 ms"\nduration = "16 s"\n'
+    path.write_text(
+        '[rig]\nsensor_is = "faster"\n'
+        + "".join(
+            f'[[experiment]]\nname = "{flow}"\ncarrier_flow = "{flow} L/min"\n'
+            f'test_gas_flow = "0.5 L/min"\n{pulse}'
+            for flow in (4.0, 8.5)
+        )
+    )
+    step = {"y0_V": 0.2, "beta_V": 2.0, "t0_s": 2.2, "tf_s": 8.2}
+    truth = {
+        "tau_s": 0.3, "tau_v_s": 1.0, "V_mL": 40.0, "phi": 0.4, "sigma0_V": 0.005,
+        "sigma1_V": 0.005, "experiments": {"4.0": step, "8.5": step},
+    }  # fmt: skip
+    campaign = bs.simulate(bs.read_campaign(path), truth, 1)
+    problem = bs.make_problem(campaign, {"tau": "uniform(0.8, 1.2) s"})
+    fit = bs.fit_least_squares(problem, seed=1)
+    (text,) = fit.caveats
+    assert "for any lag of that place, but it suits the other lag, of 0.99" in text
+    (compared,) = fit.to_json()["side_information"]
+    assert compared["contradicts"] and compared["distance_sd"] is None
+    posterior = bs.sample_posterior(problem, fit, seed=1, sampler="independence")
+    assert posterior.rows["tau_s"]["q2.5"] < 0.3 < posterior.rows["tau_s"]["q97.5"]
+    # from a theta that no fit stands behind it is one message
+    other = bs.make_problem(campaign, {"tau": "uniform(5, 6) s"})
+    with pytest.raises(bs.CampaignError, match="the priors .* contradict the data"):
+        bs.sample_posterior(other, fit.parameters, seed=1, sampler="independence")

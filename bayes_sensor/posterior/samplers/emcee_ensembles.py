@@ -15,7 +15,7 @@ from bayes_sensor.likelihood.problem import Problem
 from bayes_sensor.posterior.agreement import r_hat_between
 from bayes_sensor.posterior.checkpoints import Checkpoint, digest
 from bayes_sensor.posterior.convergence import ESS_LIMIT, R_HAT_LIMIT, enough, out_of_reach
-from bayes_sensor.posterior.laplace import Laplace
+from bayes_sensor.posterior.laplace import NO_START, Laplace
 from bayes_sensor.posterior.r_hat import diagnostics
 from bayes_sensor.posterior.samplers.sampler import Run, Sampler, Target
 from bayes_sensor.posterior.settings import Settings
@@ -322,10 +322,7 @@ def _start(
     found = np.concatenate([found, points[np.isfinite(target(points))]])
     if len(found) >= n:
         return found[:n]
-    raise CampaignError(
-        "no starting point with a positive posterior density was found; "
-        "the priors (side information, commanded times) contradict the data"
-    )
+    raise CampaignError(NO_START)
 
 
 def into_priors(problem: Problem, thetas: FloatArray, rng: np.random.Generator) -> FloatArray:
