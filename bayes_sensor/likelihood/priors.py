@@ -81,8 +81,8 @@ class Prior:
         """Standard deviations between ``value`` (any shape) and the law's most likely value, of the
         logarithm for ``log_normal``; 0 inside and inf outside a law that is even.
 
-        >>> Prior("normal", 4.0, 0.5).away(5.0), Prior("uniform", 1.0, 2.0).away(1.5)
-        (array(2.), array(0.))
+        >>> float(Prior("normal", 4.0, 0.5).away(5.0)), float(Prior("uniform", 1.0, 2.0).away(1.5))
+        (2.0, 0.0)
         """
         x = np.asarray(value, dtype=float)
         low, high = self.support
