@@ -278,6 +278,13 @@ class SideComparison:
         }
 
 
+def stated_laws(problem: Problem) -> dict[str, Prior]:
+    """What is compared with the data: side information and priors that were given, by flat name."""
+    local = problem.layout.mean_names[problem.layout.n_shared :]
+    given = {k: law for k, law in problem.given_laws.items() if k in local}
+    return {k: law for k, law in {**problem.named_laws, **given}.items() if law.kind != "flat"}
+
+
 def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[SideComparison, ...]]:
     """Assignments of the lags at a fit ``vector`` (n_theta,), lags by size, and each piece of side
     information, and each prior that was given, with the data's own estimate.
@@ -285,9 +292,7 @@ def weigh_names(problem: Problem, vector: FloatArray) -> tuple[Naming, tuple[Sid
     If several assignments are possible, each piece is compared under the one that fits all of them
     best.  Priors of noise and of a model's own parameters are not compared.
     """
-    local = problem.layout.mean_names[problem.layout.n_shared :]
-    given = {k: law for k, law in problem.given_laws.items() if k in local}
-    known = {k: law for k, law in {**problem.named_laws, **given}.items() if law.kind != "flat"}
+    known = stated_laws(problem)
     if not known:
         return problem.naming(), ()
     estimates = Estimates.of(problem, vector)

@@ -15,7 +15,7 @@ from bayes_sensor.campaign import Campaign, CampaignError, FloatArray
 from bayes_sensor.fit import Fit, fit_least_squares, refit
 from bayes_sensor.fit.fitted_noise import all_residuals
 from bayes_sensor.fit.identifiability import cannot_tell
-from bayes_sensor.fit.side_information import weigh_names, without_contradicted
+from bayes_sensor.fit.side_information import stated_laws, weigh_names, without_contradicted
 from bayes_sensor.io.given_options import record_of
 from bayes_sensor.likelihood.problem import Problem, as_problem
 from bayes_sensor.posterior.agreement import Agreement, r_hat_between
@@ -148,12 +148,14 @@ def _sampled(
     if mute:
         raise CampaignError(f"no interval can be given: {mute}")
     caveats = list(getattr(fit, "caveats", ()))
+    compared = getattr(fit, "side_information", ())
     if isinstance(fit, Fit) and fit.step_seen:
-        # what the data contradict is reported and left out; a fit of other priors did not say it
-        _, compared = weigh_names(problem, start)
-        problem = without_contradicted(problem, compared)
-        said = [each.sentence() for each in compared if each.contradicts]
-        caveats += [sentence for sentence in said if sentence not in caveats]
+        if {each.name: each.law for each in compared} != stated_laws(problem):
+            _, compared = weigh_names(problem, start)  # the fit knew of other priors
+            said = [each.sentence() for each in compared if each.contradicts]
+            caveats += [sentence for sentence in said if sentence not in caveats]
+    # what the data contradict is reported and left out
+    problem = without_contradicted(problem, compared)
     # at equal flows lags have no names yet, at flows that are nearly so ensembles exchange them
     apart = problem.flow is None and flow_of_both(problem) is None
     twin = fit.twin if isinstance(fit, Fit) and apart else ""
