@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isclose
@@ -375,9 +376,10 @@ class Layout:
     def _flat_of_mapping(self, theta: Mapping[str, Any]) -> FloatArray:
         found = by_flat_name(theta)
         if found.keys() == self._positions.keys():  # the usual case, once per evaluation
-            vector = np.array([number_of(found[name], name) for name in self._names])
-            if not np.isnan(vector).any():
-                return vector
+            with suppress(TypeError, ValueError):  # below it is said which is no number
+                vector = np.array([found[name] for name in self._names], dtype=float)
+                if not np.isnan(vector).any():
+                    return vector
         vector = np.concatenate(
             [np.full(self.n_mean, np.nan), self._no_noise(), np.full(len(self.extra), np.nan)]
         )
