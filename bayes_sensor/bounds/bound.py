@@ -84,14 +84,14 @@ class Bound:
         key = level if isinstance(level, str) else f"{1000 * level:.0f}".rstrip("0")
         if key not in keys:
             raise KeyError(f"{self.method}: no level '{level}'; there are {', '.join(keys)}")
-        if name not in self.names:
-            raise KeyError(f"{self.method}: no parameter '{name}'; there are {self._known}")
-        i, j = self.names.index(name), keys.index(key)
+        i, j = self._place(name), keys.index(key)
         return float(self.low[i, j]), float(self.high[i, j])
 
-    @property
-    def _known(self) -> str:
-        return ", ".join(self.names)
+    def _place(self, name: str) -> int:
+        if name not in self.names:
+            known = ", ".join(self.names)
+            raise KeyError(f"{self.method}: no parameter '{name}'; there are {known}")
+        return self.names.index(name)
 
     @property
     def intervals(self) -> dict[str, dict[str, tuple[float, float]]]:
@@ -100,9 +100,7 @@ class Bound:
 
     def row(self, name: str) -> dict[str, float]:
         """The eight numbers of one parameter by their JSON keys; nan for no value."""
-        if name not in self.names:
-            raise KeyError(f"{self.method}: no parameter '{name}'; there are {self._known}")
-        i = self.names.index(name)
+        i = self._place(name)
         values = [self.estimate[i], self.sd[i]]
         for j in range(len(LEVELS)):
             values += [self.low[i, j], self.high[i, j]]

@@ -89,9 +89,8 @@ def _measured_rise(e: Experiment) -> tuple[float, float] | None:
         if after is not None:
             high = float(later[after])
         if abs(high - low) >= 20.0 * scatter and high != low:
-            if (
-                after is not None
-            ):  # two lags are farthest after one lag or so, as an exponential rises
+            if after is not None:
+                # two lags are farthest after one lag or so, as an exponential rises
                 return abs(high - low), LN_NINE * (n + (after + 1) * n_bin) * e.interval
             x = (means - low) / (high - low)
             rise = rise_time(times, x)
